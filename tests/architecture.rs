@@ -63,7 +63,7 @@ fn re_exports(lib: &str) -> HashMap<String, String> {
 
 fn forbidden_arrows(source: &Source, exports: &HashMap<String, String>) -> Vec<String> {
     let module = module_of(&source.path);
-    // The table of tunings and the hash of data stand on the ground.
+    // The table of tunings and the hash of data count as the lowest module, which all may name.
     let ground = ["crate::frame::tuning::", "crate::scene::Fingerprint"];
     let code = ground.iter().fold(source.code.clone(), |code, path| code.replace(path, "crate::error::"));
     names_used(&code)
@@ -76,7 +76,7 @@ fn forbidden_arrows(source: &Source, exports: &HashMap<String, String>) -> Vec<S
 
 #[test]
 fn dependencies_between_modules_point_one_way() {
-    // The crate of files has names of its own: Cargo sees to it that it stands above the engine.
+    // The crate of files is left out, because Cargo itself keeps it above the engine.
     let (files, engine): (Vec<_>, Vec<_>) =
         sources("engine").into_iter().partition(|source| source.path.starts_with("engine/files/"));
     let lib = engine.iter().find(|source| source.path == "engine/lib.rs").expect("the crate has a root");

@@ -1,4 +1,4 @@
-//! The two forms of blending: the same bits through renderer and trainer, other work.
+//! The two forms of blending give the same bits in renderer and trainer, with different work.
 
 use crate::common::blending::assert_same;
 use crate::common::count_hits;

@@ -154,10 +154,10 @@ fn budget_prunes_what_does_not_recover() {
             assert_eq!(counts, []);
             continue;
         }
-        // 300 after the start, then 300 after each of the first two resets, a fifth each time.
+        // A fifth is pruned 300 iterations after the start, and 300 after each of the first two resets.
         let after: Vec<u32> = counts.iter().map(|count| count.0).collect();
         assert_eq!(after, [300, 430, 560]);
-        // Fewer if many are equally faint: those that no view has seen since the reset.
+        // Fewer are pruned if many are equally faint, because no view has seen them since the reset.
         for &(_, before, kept) in &counts[1..] {
             assert!(kept < before && before - kept <= before / 5 + 1, "{counts:?}");
         }

@@ -7,7 +7,7 @@ use ashsplat::train::{OptimizerType, Preset};
 use ashsplat_files::metrics;
 
 const VIEWS: usize = 10;
-/// Views with known gains of their channels. Their mean is 1, as the mean of all exposures stays.
+/// Views with known gains of their channels. Their mean is 1, because training keeps the mean of all exposures.
 const CHANGED: [(usize, [f32; 3]); 3] =
     [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 
@@ -31,8 +31,8 @@ fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// Every `share`-th Gaussian of the same scene, gray and faint. All of them can reproduce the photographs, a third
-/// cannot: exposures then compensate. With a third, those of unchanged photographs were off by 3.4 %, at any rate.
+/// Every `share`-th Gaussian of the same scene, gray and faint. All of them can reproduce the photographs, a third cannot:
+/// exposures then compensate. With a third, exposures of unchanged photographs were off by 3.4 %, at any learning rate.
 fn gray(share: usize) -> Gaussians {
     let all = truth();
     let kept: Vec<usize> = (0..all.len()).filter(|i| i % share == 0).collect();
@@ -112,7 +112,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     let restless = TrainSettings { exposure_sparsity: 0.0, ..with.clone() };
     let (_, moving) = train(&gpu, &few, [&taken, &shown], &restless);
     let (_, exposures) = train(&gpu, &gray(1), [&taken, &shown], &with);
-    // Exposed mean colour of the photograph.
+    // Compares exposed mean colours of photographs.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
         let pixels = shown[view].to_f32();

@@ -30,7 +30,7 @@ fn assert_unbreached(context: &Context) {
 /// A separate device with guard bands around every buffer.
 fn guarded() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
-    // Called each time: `options` makes the calling test the only one with such a device.
+    // `options` is called each time, because it makes the calling test the only one with such a device.
     let options = ContextOptions { guard_bands: true, ..options() };
     CONTEXT.get_or_init(|| Context::new(&options).expect("a device with guards"))
 }

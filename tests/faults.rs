@@ -29,7 +29,7 @@ fn device_with(options: ContextOptions) -> (Context, Faults) {
 
 /// Fails unless all memory is freed and the validation layer reports nothing, leaks included.
 fn close(context: Context) {
-    // A thread waits for a submission that timed out.
+    // After a timeout, a thread still waits for the submission and then frees its memory.
     context.free_staging();
     for _ in 0..500 {
         if context.memory().iter().all(|arena| arena.bytes == 0) {
@@ -447,7 +447,7 @@ fn faults_of_pipelines() {
     }
 }
 
-/// Each allocation of a pruning of a share fails: the pruning is skipped, and training continues.
+/// Each allocation of a pruning fails: the pruning is skipped, and training continues.
 #[test]
 fn faults_of_prunings() {
     let (context, faults) = device();

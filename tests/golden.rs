@@ -35,7 +35,7 @@ type Outcome = Result<(), Failed>;
 
 type Check = fn(&Path) -> Outcome;
 
-/// Subjects of sets: fields by which they are known, name, check. The first entry of which a set has all fields counts.
+/// Subjects of sets: identifying fields, name, check. A set belongs to the first entry whose fields it has.
 const SUBJECTS: [(&str, &str, Check); 19] = [
     ("it1_image", "train", training::train),
     ("fused_log_scales", "filter", antialias::filter),
@@ -69,7 +69,7 @@ struct SetFile {
 }
 
 impl SetFile {
-    /// The extents that there are results of.
+    /// The extents with results.
     fn extents(&self) -> impl Iterator<Item = Extent> {
         std::iter::once(Extent::Reference).chain(self.exact.is_some().then_some(Extent::Exact))
     }

@@ -81,7 +81,7 @@ fn compare_gradients(actual: &[Gaussian], expected: &[Gradient]) {
     }
 }
 
-/// The most are more entries than one invocation's loop makes rounds on lavapipe.
+/// The last tile has more entries than lavapipe runs iterations of a loop.
 #[test]
 fn hard_case_tiles_of_many_entries() {
     let view = axis_view([16, 16]);

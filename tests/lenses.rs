@@ -1,5 +1,5 @@
-//! Cameras with a lens or a rolling shutter: parts of pictures, what surrounds a camera, and what is refused. Their pictures and gradients are judged
-//! by the golden vectors (tests/golden/lenses.rs).
+//! Cameras with a lens or a rolling shutter: parts of pictures, scenes on all sides, training, and refusals. Golden vectors
+//! judge their pictures and gradients (tests/golden/lenses.rs).
 
 use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
@@ -33,7 +33,7 @@ fn cameras() -> Vec<Camera> {
     with_lenses.into_iter().chain(shutters).collect()
 }
 
-/// Places and depths of a picture lead back to the points that it shows there, also if it is a part, and read at different times.
+/// Positions and depths in a picture lead back to the points shown there, also for parts and rolling shutters.
 #[test]
 fn a_pictures_places_are_those_of_its_points() {
     for camera in cameras() {
@@ -42,7 +42,7 @@ fn a_pictures_places_are_those_of_its_points() {
         for point in ball(300).means.iter().map(|mean| Vec3::from_array(*mean)).filter(|p| part.sees(*p)) {
             let (x, y, depth) = part.project(point);
             let back = part.points()([x, y], depth);
-            // The time of a point is found to some hundredths of a pixel.
+            // The time at which a row is read is found to some hundredths of a pixel.
             let close = if camera.shutter.is_some() { 2e-3 } else { 2e-5 };
             assert!(back.abs_diff_eq(point, close * depth), "{camera:?}: {point} comes back as {back}");
             let (left, top, _) = camera.project(point);
@@ -53,7 +53,7 @@ fn a_pictures_places_are_those_of_its_points() {
     }
 }
 
-/// Tiles of parts lie elsewhere in the whole, and a panorama's seam between or beside them.
+/// A part's tiles differ from those of the whole, and a panorama's seam lies inside the part or outside.
 #[test]
 fn a_part_of_a_lenss_picture_has_the_pixels_of_the_whole() {
     let mut renderer = renderer();
@@ -79,7 +79,7 @@ fn a_part_of_a_lenss_picture_has_the_pixels_of_the_whole() {
     }
 }
 
-/// The picture of a panorama turned about the vertical axis is the same picture moved aside, through its seam.
+/// Turning a panorama about the vertical axis shifts its picture, also across the seam.
 #[test]
 fn a_turned_panorama_is_moved_through_its_seam() {
     let panorama = cameras()[6];
@@ -101,7 +101,7 @@ fn a_turned_panorama_is_moved_through_its_seam() {
         let before = straight[y * width + (x + width - quarter) % width];
         far += usize::from((Vec3::from(*color) - Vec3::from(before)).abs().max_element() > 1e-3);
     }
-    // A Gaussian ends half a picture away from its middle, at another pixel in each picture.
+    // A Gaussian ends half a picture away from its centre, which is another pixel in each picture.
     assert!(far < turned.len() / 200, "{far} of {} pixels differ", turned.len());
 }
 
@@ -126,8 +126,8 @@ fn lenses_without_a_picture_are_refused() {
     assert_eq!(PhotoLens::panorama(128, 64).intrinsics(), panorama.intrinsics());
 }
 
-/// Photographs of several families in one training, with both filters: each view's picture comes closer to its photograph. Resumed
-/// trainings have the same bits, also with moved poses and more Gaussians.
+/// Trains photographs of several lenses together, with both filters: each view comes closer to its photograph. Resumed runs
+/// have the same bits, also with moved poses and more Gaussians.
 #[test]
 fn photographs_are_learned_through_their_lenses() {
     let truth = ball(120).with_sh_degree(0);
@@ -179,8 +179,8 @@ pub fn photographed(scene: &Gaussians, cameras: impl Iterator<Item = Camera>) ->
     cameras.map(take).collect()
 }
 
-/// Lenses of two families, with focal lengths and distortions that are off by 2 % and 0.02, come back to where they were. A pinhole
-/// learns that it distorts.
+/// Lenses of two families, with focal lengths off by 2 % and distortions off by 0.02, return to the true values. A pinhole
+/// learns its distortion.
 #[test]
 fn lenses_are_found_again_on_a_scene_that_is_known() {
     let scene = ball(400).with_sh_degree(0);

@@ -181,7 +181,7 @@ fn assert_too_many_instances<T>(result: Result<T>) {
 /// Number of instances that bindings hold.
 const FEW: u32 = 4608;
 
-/// A device with such bindings, where [`large`] ones are too many for a view of twelve tiles, but not of six.
+/// A device with such bindings: [`large`] Gaussians fit them in a view of six tiles, but not of twelve.
 fn crowded() -> Context {
     with_range(u64::from(FEW) * 16)
 }
@@ -275,7 +275,7 @@ fn limits_of_instances_end_a_training_of_nothing() {
     let gpu = Gpu::new();
     let mut checkpoint = run(gpu.context).until(1, &[]);
     for _ in 0..2 {
-        // Interruptions do not matter.
+        // Resuming in between makes no difference.
         let mut trainer = run(&context).resume(&checkpoint);
         assert!(trainer.steps(1)[0].skipped);
         checkpoint = trainer.state();
@@ -307,7 +307,7 @@ fn memory_that_cannot_suffice_is_said_before_any_work() {
     trainer.steps(4);
 }
 
-/// With memory for the start only, training continues without growth. Memory that sufficed before suffices now.
+/// With memory for little more than the start, training continues, but growth is limited.
 #[test]
 fn memory_budget_stops_growth_not_training() {
     let start = gaussians(&small_scene(&mut Random::new(41), 6000, 16));
@@ -335,8 +335,8 @@ fn memory_budget_stops_growth_not_training() {
     assert_silent(&context);
 }
 
-/// Drawing pictures larger and fuller than those of training does not change its growth. They are drawn however much
-/// memory training uses, if they fit in place of its frame.
+/// Drawing larger and fuller pictures during a training does not change its growth. They are drawn even if training uses all
+/// memory, provided that they fit in place of its frame.
 #[test]
 fn memory_budget_is_trainings_whoever_looks_on() {
     let start = gaussians(&small_scene(&mut Random::new(44), 3000, 16));

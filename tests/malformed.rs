@@ -45,8 +45,8 @@ pub fn trials(shared: &Path) -> Vec<Trial> {
 /// Result of loading: a description of the scene, or the error.
 type Outcome = Result<String, Error>;
 
-/// Runs a case with a time limit, and checks by how much it raises this process's peak memory. Other trials run beside it, and
-/// some of them hold a gigabyte.
+/// Runs a case with a time limit. The rise of this process's peak memory is checked, because other trials that run at the
+/// same time hold up to a gigabyte.
 fn guarded(path: PathBuf, case: Case) -> Result<(), Failed> {
     let before = peak_memory_kib();
     let (sender, receiver) = mpsc::channel();
@@ -78,7 +78,7 @@ fn load(path: &Path) -> Outcome {
     let report = Dataset::inspect(path, &options, Progress::NONE);
     let loaded = Dataset::load(path, &options, Progress::NONE);
     assert_eq!(report.is_sound(), loaded.is_ok(), "load and inspect disagree: {report}");
-    // The treatment of photographs of distorting lenses is a note.
+    // The report notes how photographs of distorting lenses are treated.
     let said: Vec<_> = report.warnings.iter().chain(&report.notes).collect();
     loaded.map(|set| format!("{} views, {} points, {said:?}", set.train.len(), set.points.len()))
 }
@@ -119,7 +119,7 @@ fn check_message(path: &Path, message: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Peak memory of this process, if the system reports it. Linux counts it by thread and joins the counts late: it may fall by a few pages.
+/// Peak memory of this process, if the system reports it. Linux adds up its threads late, so it may fall by a few pages.
 fn peak_memory_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
@@ -139,7 +139,6 @@ fn check(path: &Path, case: &str) {
     }
 }
 
-/// Checks requirements of single refused cases.
 fn check_refused(path: &Path, case: &str, error: Option<&Error>) {
     let message = error.map(ToString::to_string).unwrap_or_default();
     let says = |words: &str| assert!(message.contains(words), "no '{words}' in: {message}");

@@ -1,9 +1,9 @@
 //! The same results on devices with other memory, queues and limits, which the layer of `tools/mock_layer` simulates
 //! on llvmpipe.
 //!
-//! A layer needs a separate process. The kernels are those of GPUs, because the machines claim to be none of CPUs.
-//! This process therefore uses them as well. A training must end with the same bits, wherever memory lies and
-//! whichever queue copies. `tools/as_gpu mock:discrete` runs the whole suite on one.
+//! A layer needs a separate process. The simulated machines claim to be GPUs, so they use the kernels of GPUs; this process
+//! uses them as well, for comparison. A training must end with the same bits, wherever memory lies and whichever queue
+//! copies. `tools/as_gpu mock:discrete` runs the whole suite on one.
 
 use crate::common::prelude::*;
 use crate::common::{child, context, root};
@@ -158,7 +158,7 @@ machines! {
     mock_device_small_limits: "small-limits";
 }
 
-/// Detects a wait missing in the engine, in either direction. It goes undetected if the other queue is late.
+/// Tests fail if either queue ignores its waits, as if the engine missed one. They pass if that queue runs late.
 #[test]
 fn mock_device_finds_missing_waits() {
     if !can_be_claimed() {

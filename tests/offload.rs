@@ -31,7 +31,7 @@ fn run<'a>(context: &'a Context, start: &Gaussians, settings: &TrainSettings) ->
     Run::new(context, views(3, 9), settings.clone()).starting_at(start)
 }
 
-/// Trains to the end. Returns the last checkpoint, then in bytes the device memory, its peak, and the peak of the host memory.
+/// Trains to the end. Returns the last checkpoint, then bytes: of the device, their peak, and the host's peak.
 fn train(
     start: &Gaussians,
     settings: &TrainSettings,
@@ -66,7 +66,7 @@ fn offload_trains_four_times_what_the_device_holds() {
     assert!(end.fingerprint() == whole.fingerprint(), "other bits within {budget:?} bytes");
 }
 
-/// Whatever else a step does, and also if a run resumes with other memory.
+/// Every strategy gives the same bits, also if a run resumes with other memory.
 #[test]
 fn offload_changes_no_bit_of_any_strategy() {
     let start = start(2000);
@@ -100,7 +100,7 @@ fn offload_is_bounded() {
     let error = train(&start, &settings, (None, Some(planes - 1))).expect_err("too little");
     let Error::TooLarge { needed, limit, limit_name, .. } = error else { panic!("{error}") };
     assert_eq!((needed, limit, limit_name), (planes, planes - 1, "--offload"));
-    // Enough for half as many again, once, but not for the sets before and after.
+    // Enough for one set with half as many Gaussians more, but not for the sets before and after growth.
     let bound = planes * 9 / 4;
     let (end, [.., host]) = train(&start, &settings, (None, Some(bound))).expect("trained");
     let (free, _) = train(&start, &settings, (None, HOST)).expect("trained");

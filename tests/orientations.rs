@@ -8,7 +8,7 @@ use ashsplat::train::PhotoSize;
 
 const WIDE: [u32; 2] = [320, 32];
 const HIGH: [u32; 2] = [32, 320];
-/// More bytes than a picture of either shape needs in one buffer, fewer than one that is both wide and high.
+/// More bytes than a picture of either shape needs in one buffer, fewer than one as wide and as high as both.
 const RANGE: u64 = 500_000;
 
 fn settings() -> TrainSettings {
@@ -92,7 +92,7 @@ fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
     assert_eq!(needed, u64::from(width * height) * 16, "{message}");
     let words = ["'sky/b.jpg' of 320x128 pixels (", "-r ", "655360 bytes", "maxStorageBufferRange"];
     assert_says(&message, &words);
-    // The largest of several. The trainer gives the same error without names.
+    // The error names the largest of several. The trainer gives the same error without file names.
     let twice = [&photos[..], &[photo_size("d.jpg", [136, 320])]].concat();
     let (_, message) = said(&check(&twice).expect_err("too large"));
     assert_says(&message, &["'d.jpg' of 136x320 pixels and 1 other"]);

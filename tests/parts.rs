@@ -145,7 +145,7 @@ fn between(act: impl FnMut(&mut Population) -> Result<()> + Send + 'static) -> T
     parts_of(Between(act))
 }
 
-/// Keeping a missing Gaussian, or none, is refused, and the set stays.
+/// A strategy that keeps a missing Gaussian, or no Gaussian at all, is refused, and the set stays.
 #[test]
 fn a_strategy_cannot_keep_what_does_not_exist() {
     let parts = || {
@@ -232,7 +232,7 @@ impl LossTerm for Nearer {
     }
 }
 
-/// The parts of these settings, with another loss term.
+/// The parts of these settings, with `term` as their only loss term.
 fn with_term(context: &Context, settings: &TrainSettings, term: impl LossTerm + 'static) -> TrainParts {
     TrainParts { terms: vec![Box::new(term)], ..TrainParts::of_settings(context, settings).expect("parts") }
 }

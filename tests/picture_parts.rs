@@ -105,7 +105,7 @@ fn trained(views: Vec<TrainView>, settings: &TrainSettings) -> (Checkpoint, f32)
     (trainer.state(), reports.last().expect("steps").loss)
 }
 
-/// Results and counts do not depend on the black pixels around it, up to rounding.
+/// Up to rounding, results and counts do not depend on the black pixels around the part.
 #[test]
 fn training_on_a_part_is_that_on_the_whole() {
     let part = ([24, 8], [48, 48]);

@@ -109,8 +109,8 @@ fn number(name: &str) -> f32 {
     name.chars().filter(char::is_ascii_digit).collect::<String>().parse().unwrap()
 }
 
-/// Eleven photographs in a flat folder, stored sideways with orientation metadata, as phones do: neither COLMAP nor
-/// we turn them.
+/// Eleven photographs in a flat folder, stored sideways with orientation metadata, as phones store them. Neither COLMAP nor
+/// ashsplat turns them.
 fn colmap_finds_poses() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("my photos")).unwrap();

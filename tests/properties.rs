@@ -35,9 +35,8 @@ fn cases() -> impl Strategy<Value = Case> {
     })
 }
 
-/// True for pixels at which a decision may depend on float32 rounding. With the reference extent, a rectangle's
-/// rounding also decides about tiles. A pixel then counts as unstable if a slightly moved picture blends another
-/// number of entries, with either extent.
+/// True for pixels at which a decision may depend on float32 rounding. The reference extent also rounds rectangles of tiles,
+/// so pixels count for which a slightly moved picture blends another number of entries.
 fn unstable(case: &Case, scene: &[Gaussian], frame: &Frame) -> Vec<bool> {
     let view = &case.view;
     let nudged: Vec<Frame> = [-1.0, 1.0]
@@ -80,7 +79,7 @@ fn check(case: &Case) -> Result<(), String> {
         let bound = match name {
             "opacities" | "log-scales" => 1e-3,
             "quaternions" => 5e-3,
-            // Colours may be clamped or not.
+            // Colours are not compared, because rounding decides about their clamp.
             _ => continue,
         };
         let tolerance = GradientTolerance { relative_l2: bound, max_over_max: bound };

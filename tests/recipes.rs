@@ -72,7 +72,7 @@ fn bench_suite_keeps_what_is_over_when_stopped() {
     let kept = std::fs::read(&first).expect("a note");
     let table = succeed(&arguments);
     assert_eq!(std::fs::read(&first).expect("a note"), kept);
-    // The mean of the seeds, the least and the most.
+    // The mean of the seeds, with the smallest and the largest value.
     let last = table.lines().rfind(|line| line.starts_with("| all | ")).expect("the scene");
     assert!(last.contains(" to ") && last.contains(" ("), "{table}");
 }

@@ -1,8 +1,8 @@
-//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of
-//! other people (those of npm only where `ASHSPLAT_NPM` is set); and what needs a control group.
+//! Data-driven tests: one named trial per set of golden vectors, malformed file, real data set and third-party program (of
+//! npm only with `ASHSPLAT_NPM` set); and tests that need a control group.
 //!
-//! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository, but for a small part of the golden vectors in
-//! tests/golden/sets. Without them, one ignored trial per kind says so; with `ASHSPLAT_REQUIRE_SHARED=1` it fails.
+//! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository; a few golden vectors in
+//! tests/golden/sets. Without the data, one ignored trial per kind says so; with `ASHSPLAT_REQUIRE_SHARED=1` it fails.
 
 #![allow(clippy::disallowed_methods, clippy::expect_used)]
 
@@ -40,8 +40,8 @@ fn absent(name: &str, reason: impl Into<String>) -> Trial {
     Trial::ignorable_test(name, move || Err(Failed::from(reason))).with_ignored_flag(true)
 }
 
-/// Same as [`absent`], for data that are expected beside the project: with `ASHSPLAT_REQUIRE_SHARED` set, as CI sets it, the trial is
-/// run, and fails.
+/// Same as [`absent`], for data expected beside the project: with `ASHSPLAT_REQUIRE_SHARED` set, as in CI, the trial runs
+/// and fails.
 fn absent_data(name: &str, reason: impl Into<String>) -> Trial {
     let required = std::env::var_os("ASHSPLAT_REQUIRE_SHARED").is_some_and(|value| value != "0");
     absent(name, reason).with_ignored_flag(!required)

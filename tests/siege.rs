@@ -2,7 +2,7 @@
 
 #![allow(clippy::expect_used)]
 
-/// It attacks for half a minute: `.ci/run` runs a copy of the same program during a build.
+/// Ignored by default, because it takes half a minute. `.ci/run` runs a copy of the same program during a build.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "half a minute"]

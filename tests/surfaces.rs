@@ -113,7 +113,7 @@ fn a_ball_becomes_a_closed_mesh() {
     }
 }
 
-/// Training with `surface` turns Gaussians of a ball, which begin in any direction, to its surface and shrinks their shortest axes.
+/// Training with `surface` turns a ball's randomly oriented Gaussians to its surface and shrinks their shortest axes.
 #[test]
 fn surfaces_are_trained() {
     let truth = disks(Vec3::ZERO);

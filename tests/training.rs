@@ -14,7 +14,7 @@ use crate::reference::scatter_sources::{Densify, Kind, Placed, place};
 use crate::reference::zorder::zorder;
 
 const SIZE: [u32; 2] = [48, 36];
-/// A hundredth of it lies within the scales, so that Gaussians are cloned and split.
+/// A hundredth of it lies between the Gaussians' scales, so that some are cloned and some split.
 const SCENE_EXTENT: f64 = 30.0;
 const SEED: u32 = 9;
 

@@ -64,7 +64,7 @@ fn every_view_is_trained_within_the_memory_that_is_asked_for() {
     }
 }
 
-/// The bits equal those of frames with enough capacity from the start, also with other features that use frames.
+/// Repeated steps give the bits of frames with enough capacity from the start, also with other features that use frames.
 #[test]
 fn steps_that_are_run_again_leave_the_bits_of_others() {
     let usual = TrainSettings { iterations: 12, ..settings() };

@@ -157,7 +157,7 @@ fn saved(out: &Path) -> Photo {
     }
 }
 
-/// Waits for the program's end, which must be without complaint. Returns its stdout.
+/// Waits until the program ends, without an error. Returns its stdout.
 fn end(child: Running, what: &str) -> String {
     let run = Finished::from(child.finish());
     assert_eq!((run.code, run.stderr.as_str()), (Some(0), ""), "{what}");

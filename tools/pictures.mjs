@@ -253,7 +253,7 @@ const sharp = `(() => {
     return Boolean(shown?.sharp && frames.sharp && !frames.dirty && shown.seq === frames.seq);
 })()`;
 await until(sharp);
-// To the place of a photograph, so that the scene fills the page.
+// Moves to a photograph's place, so that the scene fills the page.
 await evaluate(`document.querySelector('#photo-list button:nth-child(${8 * VIEW + 1})').click()`);
 await until(`document.getElementById('photo').naturalWidth > 0`);
 await evaluate(`document.getElementById('photo-close').click()`);

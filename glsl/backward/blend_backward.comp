@@ -48,7 +48,7 @@ layout(constant_id = 7) const bool WEIGHTS = false;
 layout(constant_id = 8) const uint REGION_HEIGHT = 8;
 // See splat_shuffle.glsl.
 layout(constant_id = 9) const bool BROADCAST = false;
-// On an H100 shared memory takes 1.02 times as long, because this kernel has enough work per splat.
+// On an H100 shared memory would take 1.02 times as long, because this kernel has enough work per splat.
 const bool SHARED_SPLATS = false;
 layout(local_size_x_id = 0) in;
 

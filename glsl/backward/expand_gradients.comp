@@ -1,5 +1,5 @@
 // Gradients of all parameters of all Gaussians in the layout of the parameters; zero for Gaussians that are not visible. For
-// applications that read gradients. Training does without: adam.comp computes the same values on the fly.
+// applications that read gradients. Training does not run it, because adam.comp computes the same values on the fly.
 //
 // invocation: one Gaussian
 // in: parameters (PerGaussian planes, for the viewing direction), visible_index, gradients (PerVisible planes)

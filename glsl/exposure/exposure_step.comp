@@ -1,10 +1,10 @@
-// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl). It steps all
-// matrices, also those without a gradient: only the current view's has one, the sum of the partials, or 0 if that is not finite.
-// Weight decay adds `decay` times each value to its gradient. With CENTER, for exposures, it leaves out the diagonal, which holds
-// the gains per channel.
+// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl). It steps
+// all matrices. Only the current view's has a gradient: the sum of the partials, or 0 if that is not finite. Weight decay
+// adds `decay` times each value to its gradient. With CENTER, for exposures, it leaves out the diagonal, which holds the
+// gains per channel.
 //
-// With SHARES all photographs share the second moments: their squared gradients add up, without the parts of `decay`. Otherwise
-// Adam moves photographs that fit as fast as those that do not.
+// With SHARES all photographs share the second moments: their squared gradients add up, without the parts of `decay`.
+// Otherwise Adam would move photographs that fit as fast as those that do not.
 //
 // With SPARSE a step then brings the matrix closer to the identity by `sparsity` times the rate. This decreases with its
 // distance and is 0 from FREE_DISTANCE on: the minimax concave penalty (Zhang 2010). Photographs without a clear change keep
@@ -46,7 +46,7 @@ layout(push_constant, scalar) uniform Push {
     float rate;
     // 1 / sqrt(1 - b2^t).
     float inverse_bias_2;
-    // Factor of each value in its gradient.
+    // Weight decay: factor of each value in its gradient.
     float decay;
     // With SPARSE: distance per rate.
     float sparsity;

@@ -1,5 +1,5 @@
-// Normals of the visible Gaussians: each one's shortest axis, turned towards the camera. And the slopes of their depth over the
-// picture: a ray does not meet a Gaussian at the depth of its mean, but where its density on the ray is largest.
+// Normals of the visible Gaussians: each one's shortest axis, turned towards the camera. Also the slopes of their depths
+// over the picture, because a ray meets a Gaussian where its density along the ray is largest, not at the depth of its mean.
 //
 //   n = R R(q) e, where e is the axis of the smallest scale (the first of equal ones), and n . v <= 0 for the direction v from
 //   the camera to the mean, or for parallel rays the camera's axis

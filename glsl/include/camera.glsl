@@ -1,4 +1,4 @@
-// Axes of a camera. How its directions reach the picture: pinhole.glsl, or lens.glsl.
+// Axes of a camera. pinhole.glsl or lens.glsl map its directions to the picture.
 // Needs camera_block.glsl.
 
 vec3 to_camera(vec3 world) {

@@ -4,9 +4,9 @@
 //   D: g(s) m, s = m . m, and with BENDS tangential and thin-prism terms
 //
 // Means and covariances on the screen are those of the unscented transform, or where one of its points is not shown, of the
-// lens's Jacobian at the mean. A family of lenses is a PROJECTION_ constant; a file below lens/ with g, its two derivatives and the
-// gradient of its coefficients; a case in radial_at and in radial_backward; ANGULAR and BENDS below; the host's file below
-// engine/scene/lens/ and its lines in lens.rs; its keys in engine/files/transforms/frame.rs; and C's enum.
+// lens's Jacobian at the mean. A new family of lenses needs a PROJECTION_ constant; a file below lens/ with g, its two
+// derivatives and the gradient of its coefficients; a case in radial_at and in radial_backward; ANGULAR and BENDS below; the
+// host's file below engine/scene/lens/ and its lines in lens.rs; its keys in engine/files/transforms/frame.rs; and C's enum.
 // Matrices are stored by rows: M v is `v * M`, and A B is `B * A`.
 // Needs constants.glsl, camera.glsl, camera_block.glsl, PROJECTION, and the requirements of shutter.glsl.
 
@@ -40,7 +40,7 @@ struct LensGradient {
 
 LensGradient d_lens;
 
-// Gradient of the coefficients of g and of its derivative by s, which are weighted with `of_g` and `of_slope`.
+// Adds the gradients of the coefficients of g: `of_g` is dL/dg, `of_slope` is dL/d(dg/ds).
 void add_polynomial(uint word, uint power, float s, float of_g, float of_slope) {
     float below = 1.0;
     for (uint k = 1; k < power; ++k) {
@@ -347,13 +347,13 @@ struct Spread {
     vec3 row_y;
     vec3 bend_x;
     vec3 bend_y;
-    // m
+    // m, the motion of the mean.
     vec2 shift;
 };
 
 const float SPREAD = 1.7320508;
 
-// Position relative to that of the mean; of a panorama's turns the nearest.
+// Position relative to that of the mean; in a panorama, that of the nearest turn.
 vec2 offset_of(vec3 at, vec2 center) {
     vec2 offset = screen_of(PROJECTION, at, focal_px, center_px) - center;
     float period = float(whole_width);
@@ -361,8 +361,8 @@ vec2 offset_of(vec3 at, vec2 center) {
     return offset;
 }
 
-// True for points far outside the picture of a lens on the plane. Polynomials of lenses grow there as no lens does, and the positions of
-// pinholes without bounds, so that Gaussians beside the camera would cover the picture.
+// True for points far outside the picture of a planar lens. There a lens's polynomial grows as no real lens does, and
+// positions of pinholes have no bound, so Gaussians beside the camera would cover the picture.
 bool is_far(vec3 at) {
     float s = dot(at.xy, at.xy) / (at.z * at.z);
     return !(ANGULAR || SPHERICAL) && is_held(at) && LENS_FAR > 0.0 && sqrt(s) * radial_at(s).x > LENS_FAR;

@@ -1,10 +1,10 @@
 // Adam's moments in few bits. A Gaussian has planes of uvec4 at half_plane_at: those of the geometry, then those of SH, two in one.
 // All are zero for zero moments. Rounding up or down has no bias: each value has a threshold that starts at random and moves by the
-// golden ratio from step to step. The errors of a few steps then cancel, where those of independent numbers add up.
+// golden ratio from step to step. The errors of a few steps then cancel; with independent thresholds they would add up.
 //
 // Geometry: m as bfloat16 in .xy, v in .zw. Log-scales have three components. The fourth holds an upper bound of SH's v, as float32.
-// SH: m / sqrt(v) = +-i^2 / 2048 with an int8 i, and log2(v) in steps of 1/8 (uint8). 0 is v = 0, and 255
-// the power of two above the bound, so that steps stay where they are while the bound changes. 31 octaves below it have steps.
+// SH: m / sqrt(v) = +-i^2 / 2048 with an int8 i, and log2(v) in steps of 1/8 (uint8). 0 means v = 0, and 255 is the power of
+// two above the bound, so that steps keep their values while the bound changes. Steps cover the 31 octaves below it.
 
 const float MOMENT_STEPS = 8.0;
 

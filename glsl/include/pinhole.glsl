@@ -1,5 +1,5 @@
-// Pinholes and parallel rays. Shaders that include lens.glsl instead draw through lenses. Other shaders hand on Jacobian and
-// JacobianGradient without reading them.
+// Pinholes and parallel rays. Shaders that include lens.glsl instead draw through lenses. Other shaders pass Jacobian and
+// JacobianGradient on without reading them.
 // Needs constants.glsl, camera.glsl, camera_block.glsl.
 
 // Depth by which Gaussians are ordered, the condition on a mean to be drawn, and the depth's part in the gradient of a point.

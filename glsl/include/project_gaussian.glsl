@@ -37,7 +37,7 @@ struct ProjectedGaussian {
     float det;             // determinant after the dilation
 #ifdef LENSES
     Spread spread;         // its rows replace those of the Jacobian if it is valid
-    // Both above in the space of the camera halfway. Above they are in that of the camera that reads the mean, at this time.
+    // In the space of the camera halfway. mean_camera and axes_camera are in that of the camera at `time`.
     vec3 mean_halfway;
     mat3 axes_halfway;
     float time;
@@ -83,7 +83,7 @@ ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
         xx = dot(s.row_x, s.row_x) + dot(s.bend_x, s.bend_x) + s.shift.x * s.shift.x;
         yy = dot(s.row_y, s.row_y) + dot(s.bend_y, s.bend_y) + s.shift.y * s.shift.y;
         float xy = dot(s.row_x, s.row_y) + dot(s.bend_x, s.bend_y) + s.shift.x * s.shift.y;
-        // xx times the square of y's part across x, which does not cancel either.
+        // xx times the square of y's part perpendicular to x, which does not cancel either.
         float along = xx > 0.0 ? xy / xx : 0.0;
         vec3 row = s.row_y - along * s.row_x;
         vec3 bend = s.bend_y - along * s.bend_x;

@@ -6,8 +6,7 @@ struct SceneBlock {
 #ifdef LENSES
 #include "lens_members.glsl"
 #else
-    // Padding to the device's alignment of uniform blocks. The compiler's caller counts CAMERA_BLOCK_MEMBERS
-    // (engine/kernels/compile.rs).
+    // Padding to the device's alignment of uniform blocks. engine/kernels/compile.rs counts CAMERA_BLOCK_MEMBERS.
     uint unused[CAMERA_BLOCK_WORDS - CAMERA_BLOCK_MEMBERS];
 #endif
 };

@@ -32,8 +32,8 @@ mat3 turned_columns(mat3 columns, float time) {
     return mat3(turned(columns[0], time), turned(columns[1], time), turned(columns[2], time));
 }
 
-// Reading of a point in the space of the camera halfway. The time follows from where the point appears, so it takes steps; six
-// are part of the definition. The origin, which no lens shows, for a point that is not shown at one of them.
+// Reading of a point in the space of the camera halfway. The time depends on where the point appears, so it is iterated; the
+// six steps are part of the definition. Returns the origin, which no lens shows, if the point is not shown at one of them.
 Reading reading_of(vec3 at) {
     Reading reading = Reading(at, 0.0);
     if (SHUTTER) {

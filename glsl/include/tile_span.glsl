@@ -22,7 +22,7 @@ uvec4 tile_box(vec4 mean2d_extent_px, uvec2 grid) {
         precise float left = mean2d_extent_px.x - mean2d_extent_px.z;
         precise float right = mean2d_extent_px.x + mean2d_extent_px.z;
         uvec2 columns = turned_columns(left, right, grid.x, image_width, whole_width);
-        // Rows of a Gaussian that reaches around may begin at any column, and end up to a turn later.
+        // Rows of a Gaussian that spans a whole turn may begin at any column, and end up to a turn later.
         uint end = columns.y == columns.x + grid.x ? 2 * grid.x : columns.y;
         return uvec4(columns.x, end, first.y, last.y);
     }

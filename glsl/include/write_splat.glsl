@@ -32,7 +32,7 @@ void write_splat(uint visible, uint index) {
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
         vec4(highlighted(tinted(max(color, vec3(0.0))), index), Z_RECORD ? DEPTH_OF(p.mean_camera) : 1.0 / DEPTH_OF(p.mean_camera));
-    // Culling may have rounded otherwise.
+    // Culling may have rounded differently, so the depth may lie slightly before the near plane.
     float depth = max(DEPTH_OF(p.mean_camera), NEAR_PLANE);
     uint depth_key = floatBitsToUint(depth) - floatBitsToUint(NEAR_PLANE);
     depth_keys[visible] = min(depth_key, (1u << DEPTH_KEY_BITS) - 1);

@@ -151,7 +151,7 @@ fn determinism_is_verified_without_writing() {
     let run = place.run("train -s @data --verify-determinism 3 --start_checkpoint latest");
     assert_ne!(run.code, Some(0));
     run.warns(&["-m/--model-path: is missing"]);
-    // From a checkpoint, only the rest of the training.
+    // A run from a checkpoint verifies only the rest of the training.
     place.train("parts", "--iterations 12 --checkpoint_iterations 9");
     let run = place.train("parts", "--iterations 12 --start_checkpoint latest --verify-determinism 50");
     assert!(run.stdout.starts_with("3 iterations twice on "), "{}", run.stdout);

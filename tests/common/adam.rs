@@ -245,7 +245,6 @@ impl<'a> AdamState<'a> {
         (index, rows)
     }
 
-    /// The parameters.
     pub fn gaussians(&self) -> Vec<Gaussian> {
         match &self.halves {
             Some(scene) => engine::twins(&planes::download(self.gpu.context, scene).expect("the parameters")),

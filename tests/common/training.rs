@@ -187,7 +187,7 @@ impl Succeeds for Trainer {
     }
 }
 
-/// The error's text of what must be refused.
+/// Returns the error's text. Fails without an error.
 #[track_caller]
 pub fn refusal<T>(result: Result<T>) -> String {
     result.err().expect("refused").to_string()

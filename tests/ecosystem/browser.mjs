@@ -1,4 +1,4 @@
-// Opens a page of ours in headless Chromium and waits for the picture that it sends.
+// Opens a page in headless Chromium and waits for the picture that it posts.
 import { spawn } from 'node:child_process';
 import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
 import { createServer } from 'node:http';
@@ -7,13 +7,13 @@ import { join } from 'node:path';
 
 const TIMEOUT_SECONDS = 480;
 
-// What a page begins with: say(path, body) tells the server something, and errors are told.
+// Start of every page: say(path, body) posts to the server, and errors are reported to it.
 export const BEGIN = `const say = (path, body) => fetch(path, { method: 'POST', body });
 window.onerror = (message) => say('/failed', String(message));
 window.onunhandledrejection = (event) => say('/failed', String(event.reason && event.reason.stack || event.reason));`;
 
-// content(url) gives [type, body], or throws or gives nothing for what there is not. The page says /frame now and then, /text with lines
-// for our output, and /done with a PNG's data URL, which ends the program; so does /failed.
+// content(url) returns [type, body]; for a missing file it throws or returns nothing. The page posts to /frame from time to
+// time, to /text with lines to print, and to /done with a PNG's data URL, which ends the program; so does /failed.
 export const show = (content, output) => {
     const profile = mkdtempSync(join(tmpdir(), 'ashsplat-chromium-'));
     let browser;
@@ -24,7 +24,7 @@ export const show = (content, output) => {
             try {
                 rmSync(profile, { recursive: true, force: true, maxRetries: 5, retryDelay: 200 });
             } catch (error) {
-                // A process of the browser still writes: its temporary folder stays.
+                // Its temporary folder stays, because a process of the browser may still write.
             }
             process.exit(code);
         }, 500);

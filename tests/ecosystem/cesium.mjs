@@ -2,8 +2,8 @@
 //
 // node cesium.mjs MODULES FOLDER CAMERA.json OUT.png
 //   MODULES: a node_modules folder with cesium; FOLDER: with a tileset.json; CAMERA: { width, height, fov_degrees: of the longer side,
-//   eye, forward, up: [x, y, z] in the tileset's axes, screen_space_error: of tiles, at most, pixels,
-//   still_frames: for how many frames the picture must stay the same }
+//   eye, forward, up: [x, y, z] in the tileset's axes, screen_space_error: the largest of a tile, pixels,
+//   still_frames: number of frames for which the picture must stay the same }
 //
 // Prints the names of the tiles that were drawn, one a line.
 import { readFileSync } from 'node:fs';
@@ -13,7 +13,7 @@ import { BEGIN, show } from './browser.mjs';
 const [modules, folder, cameraFile, output] = process.argv.slice(2);
 const camera = JSON.parse(readFileSync(cameraFile, 'utf8'));
 
-// CesiumJS wants to be above the ground: east, north and up at latitude and longitude 0 are its y, z and x.
+// CesiumJS needs a scene above the ground: east, north and up at latitude and longitude 0 are its y, z and x.
 const RADIUS = 6378137;
 const tileset = () => {
     const document = JSON.parse(readFileSync(join(folder, 'tileset.json'), 'utf8'));

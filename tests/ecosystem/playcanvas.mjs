@@ -4,12 +4,12 @@
 //   MODULES: a node_modules folder with playcanvas; CAMERA: { width, height, fov_y_degrees, eye: [x, y, z],
 //   quat: [x, y, z, w] of the rotation from a camera with y up and z backward to the file's own axes,
 //   still_frames: for how many frames the picture must stay the same,
-//   reference_dilation: whether to widen splats by 0.3 pixels squared as the reference does. The engine adds its 0.3 to a
-//   covariance in units of half pixels, which is a quarter of that, and its small splats are sharper for it,
+//   reference_dilation: whether to widen splats by 0.3 pixels squared as the reference does. The engine adds 0.3 half pixels
+//   squared, a quarter of that, so its small splats are sharper,
 //   timed_frames: optional, how many frames are timed once the picture stays the same }
 //
-// A timed frame is `app.render()` and the reading of its pixels, which waits for them. The engine sorts in a worker when the camera
-// moves; it stands still here, so that no sort is in the time. The median is printed.
+// A timed frame is `app.render()` and the reading of its pixels, which waits for them. The engine sorts in a worker when the
+// camera moves; here it stands still, so no sort is timed. The median is printed.
 import { readFileSync, readdirSync } from 'node:fs';
 import { basename, join } from 'node:path';
 import { BEGIN, show } from './browser.mjs';
@@ -29,7 +29,7 @@ const engine = () => {
     return text;
 };
 
-// Milliseconds of processors that the browser's processes have had: all that descend from this one.
+// Processor milliseconds of the browser's processes, which all descend from this one.
 const cpuMilliseconds = () => {
     const parents = new Map();
     for (const id of readdirSync('/proc').filter((name) => /^\d+$/.test(name))) {
@@ -37,7 +37,7 @@ const cpuMilliseconds = () => {
             const stat = readFileSync(`/proc/${id}/stat`, 'utf8');
             parents.set(id, stat.slice(stat.lastIndexOf(')') + 2).split(' ')[1]);
         } catch (error) {
-            // It has ended.
+            // The process has ended.
         }
     }
     const descends = (id) => {
@@ -51,7 +51,7 @@ const cpuMilliseconds = () => {
                 sum += Number(readFileSync(`/proc/${id}/task/${task}/schedstat`, 'utf8').split(' ')[0]);
             }
         } catch (error) {
-            // It has ended.
+            // The process has ended.
         }
     }
     return String(sum * 1e-6);

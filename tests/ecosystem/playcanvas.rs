@@ -71,8 +71,8 @@ pub fn shows_a_trained_scene(modules: &Path, scene: &Path) {
     });
 }
 
-/// Compares our pictures with dilations in pixels and half pixels to theirs with the engine's own dilation and the
-/// reference's.
+/// Compares ashsplat's pictures with those of PlayCanvas. Each has two dilations: one in pixels, the reference's, and one in
+/// half pixels, PlayCanvas's own.
 fn compare_dilations(
     [ours, in_half_pixels]: [&Photo; 2],
     [own, reference]: &[Photo; 2],

@@ -1,4 +1,4 @@
-// Looks through the viewer in headless Chromium as a person would: a model, then a training.
+// Uses the viewer in headless Chromium as a person would: a model, then a training.
 //
 // node viewer.mjs MODULES PROGRAM FOLDER
 //   MODULES: a node_modules folder with playwright-core; PROGRAM: ashsplat; FOLDER: one that `ashsplat demo` filled, for
@@ -43,7 +43,7 @@ async function open(address, more = {}) {
     const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, ...more });
     page.setDefaultTimeout(PATIENCE);
     page.on('pageerror', (error) => errors.push(error.stack));
-    // A connection that breaks, the question why it broke and a path that is refused are errors to the console, and meant here.
+    // The console reports broken connections, the request for their reason, and refused paths as errors: expected here.
     page.on('console', (message) => {
         const meant = /WebSocket|net::ERR_/.test(message.text()) || /\/(open|socket)$/.test(message.location().url);
         if (message.type() === 'error' && !meant) errors.push(message.text());
@@ -81,7 +81,7 @@ async function looksThrough(page) {
         await page.mouse.move(560 + 14 * i, 360 + 4 * i);
         await page.waitForTimeout(40);
     }
-    // As long as the button is held, coarse frames are asked for, however long the first of them takes.
+    // Coarse frames are requested while the button is held, however long the first takes.
     await page.waitForFunction((seen) => Math.min(...seen) < 1280, widths);
     await page.mouse.up();
     await sharp(page);
@@ -117,7 +117,7 @@ async function looksThrough(page) {
     assert.equal(seen.size, 5);
     await page.keyboard.press('1');
 
-    // To a photo; wipe; away from it again.
+    // Jumps to a photo, wipes, and leaves it again.
     await page.click('#photo-list button:nth-child(5)');
     await page.waitForFunction(() => { const p = document.getElementById('photo'); return !p.hidden && p.naturalWidth > 0; });
     await sharp(page);
@@ -158,7 +158,7 @@ async function looksThrough(page) {
     assert.match(saved.suggestedFilename(), /^ashsplat-.*\.png$/);
 }
 
-/** Sets sliders as a hand does. */
+/** Sets sliders as a user does. */
 const slide = (page, selector, value) => page.locator(selector).evaluate((input, value) => {
     input.value = value;
     input.dispatchEvent(new Event('input'));
@@ -214,7 +214,7 @@ async function selects(page) {
     assert.equal((await picture(page)).places, whole.places, 'all is undone');
 }
 
-/** The tape's known length scales, three clicks level, and a link has the view. */
+/** A known length on the tape scales the scene, three clicks level it, and a link keeps the view. */
 async function places(page, address) {
     const command = (option) => page.waitForFunction((option) => document.getElementById('command-text').textContent.includes(option), option);
     await page.keyboard.press('m');
@@ -250,7 +250,7 @@ async function places(page, address) {
     await other.close();
 }
 
-/** Below a path of a proxy, which takes it off. */
+/** The page works below a path of a proxy, which strips the path. */
 async function worksBelowAPath(address) {
     const [upstream, prefix] = [new URL(address), '/a/deep/path'];
     const options = ({ url, method, headers }) => ({ port: upstream.port, path: url.slice(prefix.length), method, headers });
@@ -272,7 +272,7 @@ async function worksBelowAPath(address) {
     proxy.close();
 }
 
-/** What is cut goes from the picture at once; the command and the file say the same. */
+/** A cut shows in the picture at once; command and exported file make the same cut. */
 async function cuts(page) {
     await page.keyboard.press('Home');
     await sharp(page);
@@ -297,7 +297,7 @@ async function cuts(page) {
         await saves(page, '', format, `model_cut.${format}`);
     }
     assert.equal(stay, rows(), 'the page counts what the file holds');
-    // Off, on, and gone.
+    // The cut is switched off, on, and reset.
     await page.keyboard.press('x');
     await page.waitForSelector('#command', { state: 'hidden' });
     await sharp(page);
@@ -310,7 +310,7 @@ async function cuts(page) {
     assert(labels.length > 8 && new Set(labels).size === labels.length, 'labels differ');
 }
 
-/** Parts of the page that lie over one another, or stick out of it. */
+/** Lists parts of the page that overlap or stick out. */
 const overlaps = (page) => page.evaluate(() => {
     const seen = [];
     for (const id of ['title', 'tools', 'legend', 'panel', 'panel-toggle', 'status', 'message', 'stage-state', 'opener']) {
@@ -382,7 +382,7 @@ async function opensFiles() {
     await page.press('#path', 'Enter');
     await page.waitForSelector('#welcome', { state: 'hidden' });
     await sharp(page);
-    // Dropped, as by hand.
+    // Drops a file as a user does.
     const file = readFileSync(join(folder, 'exported.spz')).toString('base64');
     await page.evaluate((file) => {
         const bytes = Uint8Array.from(atob(file), (c) => c.charCodeAt(0));
@@ -429,7 +429,7 @@ async function feelsTouch(address) {
     await sharp(page);
     const cdp = await page.context().newCDPSession(page);
     const touch = (type, ...points) => cdp.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
-    /** Fingers go from places to places, and the view until it is as expected; then they are lifted. */
+    /** Moves fingers from places to places, waits until the view is as expected, then lifts them. */
     async function fingers(from, to, expected) {
         const before = await state(page);
         await touch('touchStart', ...from);
@@ -443,7 +443,7 @@ async function feelsTouch(address) {
     assert.deepEqual(after.pivot, before.pivot, 'one finger orbits');
     assert(Math.abs(distance(after) - distance(before)) < 1e-3 * distance(before));
     const far = distance(after);
-    // Apart to twice their distance: half as far from the pivot, and still around it.
+    // Fingers at twice their distance halve the distance to the pivot, which stays.
     const [, near] = await fingers([[500, 350], [600, 350]], [[450, 350], [650, 350]], (old) => {
         const to = (p) => Math.hypot(...old.pivot.map((v, i) => p[i] - v)), { camera } = ashsplat;
         return Math.abs(to(camera.position) / to(old.position) - 0.5) < 0.02;
@@ -470,12 +470,12 @@ async function held(page, key) {
     await page.keyboard.up(key);
 }
 
-/** The program goes and comes back; the page too. */
+/** The page recovers after the program restarts, and after its own reload. */
 async function comesBack(page, served, args) {
     await end(served.child);
     await page.waitForSelector('#connection.bad');
     await shot(page, 'broken');
-    // The picture may be there before the page is asked for it, so that only its number tells that it is another.
+    // A new picture may arrive before the test asks, so its number shows that it is another one.
     const last = await page.evaluate(() => ashsplat.frames.seq);
     const again = await serve(...args, '--port', served.port);
     await page.waitForSelector('#connection:not(.bad)');
@@ -492,7 +492,7 @@ async function steersTraining() {
     await page.waitForFunction(() => ashsplat.training.curves.loss.length > 30 && ashsplat.training.curves.rate.length > 1 && ashsplat.training.curves.psnr.length > 0);
     await shot(page, 'training');
     await page.click('#train-pause');
-    // What says so also says at which iteration.
+    // The paused status also has the iteration.
     await page.waitForFunction(() => ashsplat.training.paused);
     const at = await iteration();
     await page.waitForTimeout(1500);

@@ -89,7 +89,7 @@ impl<'a> Work<'a> {
             .command_buffer_infos(&buffers)
             .wait_semaphore_infos(&waits)
             .signal_semaphore_infos(&signals)];
-        // SAFETY: recorded; what it uses lives until the host has waited.
+        // SAFETY: the commands are recorded, and the objects that they use live until the host has waited.
         unsafe {
             self.host.device.end_command_buffer(self.commands).expect("recorded");
             self.host.device.queue_submit2(self.queue, &submits, vk::Fence::null()).expect("submitted");

@@ -101,7 +101,7 @@ fn scenes_that_are_not_drawn_leave_no_trace() {
     });
 }
 
-/// Each scene can limit its degree, with the bits of a scene that has no more coefficients.
+/// Each scene can limit its SH degree. The bits equal those of a scene without the higher coefficients.
 #[test]
 fn a_scene_has_an_sh_degree_of_its_own() {
     with_host(&options(), |host| {

@@ -278,7 +278,6 @@ pub const READ: ImageState = ImageState {
     accesses: vk::AccessFlags2::NONE,
 };
 
-/// Converts the engine's ImageState to the host's Use.
 pub fn used(ImageState { layout, stages, accesses }: ImageState) -> Use {
     (layout, stages, accesses)
 }
@@ -350,7 +349,7 @@ pub fn host_image(image: &Image, from: ImageState) -> HostImage<'_> {
 }
 
 pub struct Picture<'a> {
-    // The view goes before its image.
+    // Dropped before the image that it views.
     pub image: Image,
     pub texture: Texture<'a>,
 }

@@ -66,7 +66,7 @@ fn recorded_surfaces_equal_those_of_waited_frames() {
                         (own - normal).length() < tolerance && (texel[3] - z).abs() < tolerance * z.max(1.0);
                     far += usize::from(!near);
                 }
-                // A Gaussian with its pose applied beforehand is rounded elsewhere, so the surface may be another one's.
+                // A Gaussian whose pose was applied beforehand is rounded differently, so another one may be the surface.
                 assert!(covered > 1000 && far < covered / 100, "{format:?}: {far} of {covered} differ");
             }
         }

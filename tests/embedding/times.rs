@@ -3,8 +3,8 @@
 use crate::passes::{Cube, CubePass, UNUSED};
 use crate::stage::*;
 
-/// A driver that draws later, as llvmpipe does, may also write the timestamps after a render pass later. Blending
-/// then had the time of the stage before.
+/// A driver that defers draws, as llvmpipe does, may write timestamps late after a render pass. Blending then got the time
+/// of the previous stage.
 #[test]
 fn stages_behind_a_render_pass_have_times_of_their_own() {
     with_guest(|host, context| {

@@ -67,7 +67,7 @@ fn layers_have_the_bits_of_frames_alone() {
             assert_eq!(Some(report.instances_needed), most(|stats| stats.instances));
             assert_eq!(Some(report.longest_tile), most(|stats| stats.longest_tile));
             let visible = most(|stats| stats.visible).unwrap_or(0);
-            // The eyes' sum, or the largest of them.
+            // A shared sort counts Gaussians that any eye sees. Without it, the largest count of an eye is reported.
             assert!(if shared_sort { report.visible >= visible } else { report.visible == visible });
         }
     });

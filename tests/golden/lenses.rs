@@ -114,8 +114,8 @@ fn block(camera: &Camera) -> Vec<u32> {
     [bytemuck::cast_slice(bytemuck::bytes_of(&values)), bytemuck::cast_slice::<_, u32>(&words)].concat()
 }
 
-/// True for a Gaussian that this project takes by the Jacobian and the vectors by the unscented transform: one of the transform's
-/// points lies far outside the picture of a lens on the plane. In trainings these spreads cover pictures (tools/strategies.md).
+/// True for a Gaussian that ashsplat projects by the Jacobian, but the vectors by the unscented transform: one of its points
+/// lies far outside a planar lens's picture. In training such spreads cover pictures (tools/strategies.md).
 fn is_far(camera: &Camera, gaussian: &Gaussian) -> bool {
     let Some(([_, held, far, _], _)) = camera.lens_words() else { return false };
     let lens = PhotoLens { focal_px: DVec2::ONE, center_px: DVec2::ZERO, ..camera.photo_lens() };

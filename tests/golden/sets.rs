@@ -34,7 +34,6 @@ impl RenderingSet {
         RenderingSet { exact: Some(exact), gaussians, view, npz }
     }
 
-    /// The results with an extent.
     pub fn results(&self, extent: Extent) -> &Npz {
         match extent {
             Extent::Reference => &self.npz,
@@ -42,7 +41,6 @@ impl RenderingSet {
         }
     }
 
-    /// The view with an extent.
     pub fn view_with(&self, extent: Extent) -> View {
         View { extent, ..self.view.clone() }
     }

@@ -336,7 +336,7 @@ fn noise_of_gaussians(npz: &Npz) -> Vec<[f32; 3]> {
     by_gaussian
 }
 
-/// Replaces the means of split Gaussians, which have the generator's noise, by those of the vectors' noise.
+/// Replaces the means of split Gaussians, whose noise is random, by means with the golden vectors' noise.
 fn gather_means(gpu: &Gpu, scene: &SceneBuffers, target: &SceneBuffers, sources: &Buffer, noise: &Buffer) {
     let spec =
         gather::Spec { workgroup_size: gpu.workgroup(64), explicit_noise: true, ..gather::Spec::default() };

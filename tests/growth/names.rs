@@ -71,7 +71,7 @@ fn folders_within_folders_need_no_stack() {
     });
 }
 
-/// Folders that are not there, or that are.
+/// Missing folders, and existing ones.
 #[test]
 fn a_path_of_many_folders_that_leads_out() {
     for (key, step, size) in

@@ -110,6 +110,6 @@ fn seams_lie_between_neighbours() {
     }
     let x = seams.iter().find(|seam| seam.axis == 0 && seam.bounds.max.y < 9.0).unwrap();
     assert_eq!((x.bounds.min.x, x.distance(Vec3::new(6.0, 0.0, 9.0))), (4.0, 2.0));
-    // Beside the seam's end.
+    // A point beyond the seam's end.
     assert_eq!(x.distance(Vec3::new(4.0, 3.0 + 1.5, 9.0)), 1.5);
 }

@@ -59,7 +59,7 @@ fn colour_correction_takes_out_gains_and_mixtures() {
     let mut reference: Vec<_> = image.iter().copied().map(other).collect();
     assert!(psnr(&image, &reference, None).unwrap() < 30.0);
     assert!(cc_psnr(&image, &reference, None).unwrap() > 80.0);
-    // A pixel that does not count has no say in the fit, and one that counts has.
+    // A masked pixel does not affect the fit; an unmasked one does.
     reference[7] = [1.0, 0.0, 1.0];
     let mut mask = vec![1; 400];
     assert!(cc_psnr(&image, &reference, Some(&mask)).unwrap() < 40.0);

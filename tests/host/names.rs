@@ -230,8 +230,8 @@ fn photos_with_several_poses_are_told() {
     assert_eq!(folder.warnings(line).len(), 1);
 }
 
-/// nerfstudio's depth maps are no inverse depths: a warning names them, unless others are given. So are those of a
-/// model.
+/// Depth maps of nerfstudio are not inverse depths, so a note names them unless others are given. A model's unused depth
+/// maps are named too.
 #[test]
 fn depth_maps_that_are_not_used_are_told() {
     let folder = Folder::new();

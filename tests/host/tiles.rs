@@ -267,7 +267,7 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
     for (place, &tile) in wanted.iter().enumerate() {
         assert!(tree.tiles()[tile].children.iter().all(|child| !wanted[..place].contains(child)));
     }
-    // Wanted level by level, because all tiles are about as far away, instead of one corner down to its leaves.
+    // All tiles are about equally far away, so they are wanted level by level, not one corner down to its leaves.
     let half =
         wanted[..wanted.len() / 2].iter().filter(|&&tile| tree.tiles()[tile].children.is_empty()).count();
     assert!(half < all.len() / 2, "{half} of {}", all.len());

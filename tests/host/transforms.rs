@@ -257,7 +257,7 @@ fn points_in_the_older_frame_are_moved() {
     }
 }
 
-/// nerfstudio's radius of a fisheye's picture is of the camera's size; masks hold besides.
+/// nerfstudio's radius of a fisheye's picture refers to the camera's size; masks apply too.
 #[test]
 fn a_fisheyes_rim_hides_what_lies_beyond() {
     let folder = Folder::new();

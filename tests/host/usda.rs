@@ -14,7 +14,7 @@ fn assert_near(value: impl Into<f64>, expected: f64) {
     assert!((value - expected).abs() < 1e-5, "{value} instead of {expected}");
 }
 
-/// Two prims below transforms, among what draws nothing.
+/// Two prims below transforms, among prims that draw nothing.
 const SCENE: &str = r#"#usda 1.0
 (
     doc = """A "scene" ) of # two"""

@@ -87,7 +87,6 @@ fn host_views_put_points_where_the_host_does() {
     }
 }
 
-/// A change of a host's view.
 type Change = fn(&mut HostView);
 
 #[test]

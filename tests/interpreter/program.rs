@@ -7,7 +7,7 @@ use crate::module::Module;
 
 pub(crate) type Slot = u32;
 
-/// Stands in for a missing slot.
+/// Marks a missing slot.
 pub(crate) const NO_SLOT: Slot = u32::MAX;
 
 /// Target of a branch: a block, and the moves for its phis (range in [`Program::moves`]).

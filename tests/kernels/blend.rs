@@ -325,7 +325,7 @@ pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     for parts in region_counts(&gpu) {
         assert!(words(How { parts, ..CHAINED }) == one, "{parts} regions per subgroup");
     }
-    // The height of regions does not, either, if each opacity is computed alone.
+    // The height of regions changes nothing either, if each opacity is computed alone.
     assert!(words(LOW) == words(UNCHAINED), "low regions");
     assert!(words(SHARED) == words(UNCHAINED), "splats in shared memory");
 }

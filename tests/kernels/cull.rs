@@ -6,7 +6,7 @@ use crate::reference::linear::multiply;
 use crate::reference::project::project;
 use ashsplat::kernels::forward::cull;
 
-/// View of all tests, with this in place of Gaussians.
+/// View of all tests, with these shapes in place of Gaussians.
 fn view_of(drawn: Drawn) -> View {
     View { drawn, ..small_view([53, 37]) }
 }

@@ -438,7 +438,7 @@ fn relocate_equals_its_twin() {
     }
 }
 
-/// Packed moments lie elsewhere, in one buffer.
+/// Packed moments have their own layout, in one buffer.
 #[test]
 fn relocation_and_reset_clear_packed_moments() {
     const PLANES: usize = 5;

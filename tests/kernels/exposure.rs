@@ -334,7 +334,6 @@ impl Form {
         Exposures { decay: DECAY.into(), shares: self.shares, sparsity, ..Exposures::new(photographs) }
     }
 
-    /// Runs steps on the device.
     fn run(self, gpu: &Gpu, photographs: usize, steps: &[Seen]) -> [Vec<Floats>; 3] {
         let Form { center, shares, sparse } = self;
         let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());

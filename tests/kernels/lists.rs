@@ -309,10 +309,10 @@ pub fn duplicate_with_tiles_of_many_without_tiles() {
         .map(|i| on_the_axis(f64::from(i % 30) * 0.05, [if i == 450 { 2.0 } else { -9.0 }; 3], 0.0))
         .collect();
     let frame = Projected::new(&gpu, &gaussians, &view);
-    // Most ellipses seem to meet no row of their boxes.
+    // Most lists become empty, as if the ellipses met no tile of their boxes.
     let mut lists = gpu.read::<[u32; 2]>(&frame.tile_lists, gaussians.len());
     for (i, list) in lists.iter_mut().enumerate().filter(|(i, _)| i % 300 != 150) {
-        // Empty lists, and no lists.
+        // An empty list, or a count of 0 without a list.
         *list = [if i % 2 == 0 { LISTED } else { 0 }, 0];
     }
     let tiles: Vec<u32> = lists.iter().copied().map(tiles_met).collect();
@@ -406,7 +406,7 @@ fn hide_tiles_empties_what_a_mask_hides() {
     let texels = (0..height).flat_map(|y| (0..width).map(move |x| [9, 9, 9, u8::from(shown(x, y))]));
     let texels = texels.collect::<Vec<_>>().into_flattened();
     let [columns, rows] = [5, 3];
-    // Some tiles have no instances; with the subgroup's width and more in others.
+    // Tiles have 0, 8, 16 or 24 instances.
     let mut ranges: Vec<[u32; 2]> =
         (0..columns * rows).map(|tile| [tile * 26, tile * 26 + tile % 4 * 8]).collect();
     ranges[4] = [0, 0];

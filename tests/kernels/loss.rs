@@ -113,7 +113,7 @@ fn run_sparse_depth_gather(
     (added, gpu.read::<f32>(&sums, size[0] * size[1]))
 }
 
-/// Points, and the buffers of transmittances (with a colour that does not matter) and depth sums.
+/// Uploads points, transmittances (with an unused colour) and depth sums.
 fn upload(gpu: &Gpu, depths: &Depths, all: &[Point]) -> (DepthPointBuffers, [Buffer; 2]) {
     let size = (depths.size[0] as u32, depths.size[1] as u32);
     let accumulated: Vec<[f32; 4]> = depths.transmittances.iter().map(|&t| [9.0, 9.0, 9.0, t]).collect();

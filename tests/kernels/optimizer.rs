@@ -133,7 +133,7 @@ fn adam_equals_its_twin() {
     }
 }
 
-/// Packed moments and halves are rounded at random. Parameters stray from exact steps by a small share of their way, to no side.
+/// Packed moments and half floats are rounded at random: parameters differ little from exact steps, without a bias.
 #[test]
 fn adam_with_packed_moments_strays_little() {
     const STEPS: i32 = 300;
@@ -328,7 +328,7 @@ fn moved(gpu: &Gpu, gaussians: &[Gaussian], normals: Option<&[[f32; 3]]>, overfl
     gpu.read_gaussians(&parameters, count, 4)
 }
 
-/// Opacities that let the noise through, and opacities that block it.
+/// Some opacities let the noise through, others block it.
 fn scene(size: usize) -> Vec<Gaussian> {
     let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 4);
     for (i, gaussian) in gaussians.iter_mut().enumerate() {

@@ -67,8 +67,7 @@ fn photo_reduced_equals_its_twin() {
             transparent: change.is_some(),
         };
         let layout = if strips { NativeLayout::Strips } else { NativeLayout::Rows };
-        // One of sixteen pixels does not count. Without a mask, transparent photographs have any opacity in the
-        // others.
+        // With `masked`, one pixel of sixteen is hidden. Others of transparent photographs have any opacity.
         let mut mask = || match (masked && random.unit() < 1.0 / 16.0, change) {
             (true, _) => 0,
             (false, None) => 255,

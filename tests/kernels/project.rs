@@ -71,7 +71,7 @@ fn compare(output: &Output, place: usize, splat: &Splat, view: &View) {
     close("x", x, splat.mean2d_px[0], pixel, 2e-6);
     close("y", y, splat.mean2d_px[1], pixel, 2e-6);
     if splat.opacity >= 1.0 / 254.0 {
-        // Never narrower than the ellipse of 1/255, and hardly wider.
+        // At least as wide as the ellipse α = 1/255, and hardly wider.
         for (actual, half) in [hx, hy].into_iter().zip(half_extent_px(splat)) {
             let wide = f64::from(actual);
             assert!(wide >= half && wide <= 1.01 * half + 0.5, "half extent of {place}: {actual}, {half}");
@@ -148,7 +148,7 @@ fn project_equals_its_twin_in_every_mode() {
     for (antialias, z_record) in [(false, true), (true, false), (true, true)] {
         draw(Drawn { dropout, z_record, ..as_they_are }, antialias);
     }
-    // A scene's factors, also for colours that are clamped and for other shapes.
+    // A scene's tint, also where colours are clamped, and for other shapes.
     for (color, opacity) in [([1.0; 3], 1.0), ([0.5, 0.0, 1.75], 0.375), ([65536.0, 1.0, 0.25], 1.0)] {
         for shape in [as_they_are, ellipsoids, dots] {
             let drawn = Drawn { tint: Some(Tint { color, opacity }), ..shape };
@@ -169,8 +169,8 @@ fn project_equals_its_twin_in_every_mode() {
             views.push((500, View { filter_3d, antialias, drawn, ..usual.clone() }));
         }
     }
-    // Parallel rays, together with features that share their code. The picture is as large as a pinhole camera's at the middle of
-    // the scene.
+    // Parallel rays, together with features that share their code. The picture shows as much as a pinhole camera's at the
+    // middle of the scene.
     for (drawn, antialias, extent) in [
         (as_they_are, false, Extent::Exact),
         (as_they_are, true, Extent::Reference),

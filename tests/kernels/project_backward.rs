@@ -82,7 +82,6 @@ struct Modes<'a> {
     accumulate: bool,
     overflow: bool,
     pose_gradient: bool,
-    /// The instances' absolute gradients.
     absolute: Option<&'a [[f32; 2]]>,
 }
 
@@ -318,7 +317,7 @@ pub fn project_backward_leaves_statistics_alone_unless_told() {
     }
 }
 
-/// Statistics of absolute gradients leave the bits of the gradients.
+/// Statistics of absolute gradients change no bit of the gradients.
 #[test]
 pub fn project_backward_adds_up_absolute_statistics() {
     let gpu = Gpu::new();

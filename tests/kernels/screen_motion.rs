@@ -3,7 +3,7 @@
 use crate::common::prelude::*;
 use ashsplat::kernels::forward::screen_motion::{Bind, Interface, Push, Spec};
 
-/// The kernel's motions of every second Gaussian of a range that begins behind others.
+/// Motions by the kernel for every second Gaussian of a range that does not begin at 0.
 fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[f32; 2]> {
     let workgroup_size = gpu.workgroup(64);
     let room = room(gaussians.len());
@@ -49,7 +49,7 @@ fn screen_motion_stays_finite() {
     let mut gaussians = mixed_scene(&mut Random::new(3), 8, 1);
     let behind = View { translation: [0.0, 0.0, -100.0], ..view.clone() };
     assert!(moved(&gpu, &gaussians, &view, &behind).iter().all(|motion| *motion == [0.0; 2]));
-    // At most the motion that leaves the picture.
+    // The motion is clamped to the picture's size.
     let aside = View { translation: [1e9, -1e9, 4.0], ..view.clone() };
     for motion in moved(&gpu, &gaussians, &view, &aside) {
         assert_eq!(motion, [-53.0, 37.0]);

@@ -80,7 +80,6 @@ impl Pictures {
         Strips { width, height }
     }
 
-    /// The rendered picture in the layout of this form of the loss.
     fn rendered(&self, layout: NativeLayout) -> Vec<f32> {
         let composited = |t: &[f32; 4]| [0, 1, 2].map(|c| t[c] + t[3] * BACKGROUND[c] as f32);
         match layout {
@@ -89,7 +88,6 @@ impl Pictures {
         }
     }
 
-    /// The photograph in the layout of this form of the loss.
     fn photo(&self, layout: NativeLayout) -> Vec<u8> {
         let [width, height] = self.size;
         photo_on_device(layout, width, height, self.masked, bytemuck::cast_slice(&self.photo).to_vec())
@@ -102,7 +100,7 @@ impl Pictures {
         }
     }
 
-    /// The gradient per pixel; the fourth component is only that of blocks.
+    /// The gradient per pixel. Only blocks have a fourth component.
     fn gradient(&self, layout: NativeLayout, words: &[f32]) -> Vec<[f32; 4]> {
         match layout {
             NativeLayout::Rows => words.as_chunks::<4>().0.to_vec(),

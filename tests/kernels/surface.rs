@@ -142,8 +142,8 @@ fn integrate_equals_its_twin() {
     assert!(seen > 500 && (200..seen).contains(&colored), "{seen} seen, {colored} coloured");
 }
 
-/// Random distances with positive ones at the border, and some unseen voxels: every vertex lies where the twin has it, and
-/// the mesh around all that is seen is closed.
+/// Random distances, positive ones at the border, and some unseen voxels. Every vertex equals the twin's, and the mesh
+/// around the seen voxels is closed.
 #[test]
 fn count_and_place_equal_their_twins() {
     let gpu = Gpu::new();

@@ -117,7 +117,6 @@ impl Server {
         self.page_with("").expect("a WebSocket")
     }
 
-    /// Same as [`Self::page`], but with a query.
     pub fn page_with(&self, query: &str) -> Result<Page, String> {
         let url = format!("ws://{}/socket{query}", self.host);
         let (socket, _) = tungstenite::client(url, self.connect()).map_err(|error| error.to_string())?;

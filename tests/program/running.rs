@@ -17,14 +17,14 @@ impl Running {
         Running(Some(command.spawn().expect("the program starts")))
     }
 
-    /// Interrupts it as Ctrl-C does; as Ctrl-Break on Windows, where Ctrl-C reaches all that share a console.
+    /// Interrupts it as Ctrl-C does. On Windows as Ctrl-Break, because Ctrl-C reaches all programs of a console.
     pub fn interrupt(&self) {
         #[cfg(unix)]
         self.signal(nix::sys::signal::Signal::SIGINT);
         #[cfg(windows)]
         {
             use windows_sys::Win32::System::Console::{CTRL_BREAK_EVENT, GenerateConsoleCtrlEvent};
-            // SAFETY: both are numbers.
+            // SAFETY: both arguments are numbers.
             #[allow(unsafe_code)]
             let sent = unsafe { GenerateConsoleCtrlEvent(CTRL_BREAK_EVENT, self.id()) };
             assert_ne!(sent, 0, "{}", std::io::Error::last_os_error());

@@ -103,8 +103,8 @@ pub fn beside(
     (result, weights)
 }
 
-/// True if a depth is that of the splat behind which the transmittance is below `limit`, 0 for none, with a tolerance of the
-/// transmittance. `slopes`: change of the depth per px of each splat of the list.
+/// True if `depth` is that of the splat behind which the transmittance is below `limit` (0 if there is none), with a
+/// tolerance of the transmittance. `slopes`: change of depth per px of each splat of the list.
 pub fn is_surface_depth(
     depth: f64,
     limit: f64,
@@ -125,7 +125,7 @@ pub fn is_surface_depth(
     })
 }
 
-/// The part of a list that lies in front of a limit, 1/z: the blending stops at the first splat behind it.
+/// The splats of a list before the first one that lies behind a limit, 1/z.
 pub fn before<'a, 'b>(list: &'a [&'b Splat], least_inverse_z: f64) -> &'a [&'b Splat] {
     let end = list.iter().position(|splat| 1.0 / splat.depth < least_inverse_z);
     &list[..end.unwrap_or(list.len())]

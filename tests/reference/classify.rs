@@ -48,7 +48,7 @@ fn largest_scale(log_scale: [f64; 3]) -> f64 {
     log_scale.iter().copied().fold(f64::NEG_INFINITY, f64::max).exp()
 }
 
-/// Sum of norms of a Gaussian with this mean: below every threshold outside a box, which includes its sides.
+/// Sum of norms of a Gaussian with this mean: below every threshold outside the box. The box includes its sides.
 pub fn masked(sum: f64, mean: [f64; 3], [low, high]: [[f64; 3]; 2]) -> f64 {
     let inside = (0..3).all(|axis| low[axis] <= mean[axis] && mean[axis] <= high[axis]);
     if inside { sum } else { f64::from(-3e38_f32) }

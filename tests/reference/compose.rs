@@ -8,7 +8,7 @@ pub fn compose(accumulated: [f32; 4], behind: [f64; 4]) -> [f64; 4] {
     std::array::from_fn(|k| splats[k] + transmittance * behind[k])
 }
 
-/// Linear light of a display-encoded value (IEC 61966-2-1), oddly below 0 and by the same power above 1.
+/// Linear light of a display-encoded value (IEC 61966-2-1): an odd function, above 1 with the same power.
 pub fn decode(encoded: f64) -> f64 {
     let size = encoded.abs();
     let light = if size <= 0.04045 { size / 12.92 } else { ((size + 0.055) / 1.055).powf(2.4) };

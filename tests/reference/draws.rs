@@ -45,7 +45,7 @@ pub fn draw(weights: &[u32], rows: usize, bits: impl Fn(usize) -> u32) -> (Vec<(
             return (row.min(weights.len() - 1), 0);
         }
         let place = (u64::from(bits(row)) * total) >> 32;
-        // Number of inclusive sums up to the place.
+        // Number of inclusive prefix sums up to `place`.
         let mut sum = 0;
         let passed = weights.iter().take_while(|&&weight| {
             sum += u64::from(weight);

@@ -1,6 +1,6 @@
-//! Plain-loop twins of the kernels in double precision: the judge of the GPU. Each shader has
-//! its function here, written from the paper and the reference implementation's definitions without a line of the engine. Kernels that
-//! compute the same in another way share a twin.
+//! Twins of the kernels: plain loops in double precision that judge the GPU. Each shader has a function here, written from
+//! the paper and the reference implementation without a line of the engine. Kernels that compute the same in another way
+//! share a twin.
 
 #![allow(clippy::expect_used)]
 // The names are those of the formulas.

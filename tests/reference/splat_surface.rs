@@ -5,8 +5,8 @@ use super::linear::{apply, dot, normalize_quat, rotation, transpose};
 use super::project::intermediate;
 use super::types::{Gaussian, View};
 
-/// The shortest axis in the camera's frame, turned towards the camera; and minus the cosine of its angle from the direction of
-/// view, times the distance.
+/// Returns the shortest axis in the camera's frame, turned towards the camera, and its scalar product with the vector to the
+/// Gaussian, which is negative.
 pub fn splat_normal(gaussian: &Gaussian, view: &View) -> ([f64; 3], f64) {
     let scales = gaussian.log_scale;
     let shortest = (0..3).min_by(|&a, &b| scales[a].total_cmp(&scales[b])).expect("three axes");

@@ -13,13 +13,11 @@ pub enum Extent {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gaussian {
-    /// World position.
     pub mean: [f64; 3],
     /// (w, x, y, z), not normalised.
     pub quat: [f64; 4],
     /// Natural logarithm of the standard deviations.
     pub log_scale: [f64; 3],
-    /// Opacity before the logistic function.
     pub opacity_logit: f64,
     /// SH coefficients, coefficient-major, rgb last.
     pub sh: Vec<[f64; 3]>,

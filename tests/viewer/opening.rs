@@ -82,7 +82,7 @@ fn viewer_shows_files_that_are_dropped() {
         assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
         assert_eq!(empty.left(), 0, "{ending}");
     }
-    // A name leads nowhere, and is in no command: another system may read it otherwise.
+    // Folders in a name are ignored, and such a name is in no command, since another system may read it differently.
     let (code, ..) = empty.server.post("/upload/..%2f..%2fa.ply", &[BINARY], &bytes_of(60, ".ply"));
     let scene = page.opened().expect("a scene");
     assert_eq!((code, &scene["gaussians"], &scene["convert"]), (202, &json!(60), &Value::Null));
@@ -220,7 +220,7 @@ fn viewer_lets_nobody_open_who_may_not() {
         ] {
             assert_eq!(empty.server.post(path, &[kind, foreign], body).0, 403, "{path} {foreign:?}");
         }
-        // A browser first asks whether a foreign page may.
+        // A browser first asks whether a foreign page may send the request.
         let origin = [("Origin", "http://elsewhere.example")];
         let (code, head, _) = empty.server.request("OPTIONS", path, &origin, &[]);
         assert!(code == 403 && !head.to_lowercase().contains("access-control"), "{head}");
@@ -287,7 +287,7 @@ fn viewer_lists_a_folder_of_scenes() {
         assert_eq!(page.opened().expect("a scene")["gaussians"], count);
     }
     assert_eq!(server.post("/open", &[JSON], b"{\"path\": \"../outside.ply\"}").0, 404);
-    // A folder that was named is for all who may see the page; that of the shell is not.
+    // Everyone who can reach the page sees a folder named at the start, but not the shell's current folder.
     let others = ["--allow-origin", "https://viewer.example"];
     assert!(Server::view(&place.at("scenes"), &others).page().greeting["open"]["folder"].is_string());
     // A data set that a user names beside the folder need not lie in it.

@@ -25,7 +25,7 @@ fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {
     common::assert_silent(common::context());
 }
 
-/// Kernels with two buffers in one memory, and the number of their variables that are declared so in each form.
+/// Kernels with two buffers in one memory, and their variables, which each form must declare Aliased.
 struct Aliases(Vec<(&'static str, Vec<&'static str>)>);
 
 impl KernelVisitor for Aliases {

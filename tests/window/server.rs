@@ -81,7 +81,6 @@ impl Desk {
         self.hold(code, Duration::ZERO);
     }
 
-    /// Holds a key for a while.
     pub fn hold(&self, code: u8, time: Duration) {
         self.fake(KEY_PRESS_EVENT, code, [0; 2]);
         std::thread::sleep(time);

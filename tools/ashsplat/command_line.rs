@@ -137,7 +137,7 @@ fn summary(error: &clap::Error) -> String {
     format!("{first}{hint} see --help")
 }
 
-/// Number of first letters of an option, hyphens among them, that a typing error leaves intact.
+/// Number of first characters of an option, with its hyphens, that a typing error leaves intact.
 const LIKE: usize = 5;
 
 /// A folder after `train` without an option, which is how other programs take the data set.

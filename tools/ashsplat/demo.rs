@@ -45,7 +45,7 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Number of iterations that takes two processor cores without a GPU little more than a minute.
+/// Default number of iterations; two processor cores without a GPU need little more than a minute.
 const ITERATIONS: u32 = 1200;
 const SHEET_FILE: &str = "contact_sheet.png";
 
@@ -102,7 +102,6 @@ fn settings(dataset: &Path, model: &Path, iterations: u32, seed: u32) -> Setting
     Settings { data, train: TrainSettings { iterations, seed, ..TrainSettings::default() } }
 }
 
-/// Writes the contact sheet.
 fn write_sheet(run: &mut Run, path: &Path) -> Result<()> {
     let settings = settings_of(&run.settings);
     let Some(evaluation) = run.evaluations.last().map(|tested| &tested.evaluation) else { return Ok(()) };

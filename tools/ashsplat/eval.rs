@@ -24,8 +24,8 @@ use std::path::PathBuf;
 /// PSNR and SSIM of a trained scene on a data set, colour-corrected PSNR (for photos of other exposures), LPIPS where weights
 /// are given; its Gaussians, its bytes and the time of a frame. What masks hide does not count.
 ///
-/// Photos with an exposure in the model folder's exposure.json are compared under it: those that were trained on. Held-out
-/// ones have one after a training with --train-test-exp only, and then their right half counts.
+/// A photo with an exposure in the model folder's exposure.json is compared under it. Training photos have one; held-out
+/// photos have one only after --train-test-exp, and then only their right half counts.
 ///
 /// For a model folder the data set, the size of the photos and the split are those of its training; results go
 /// to its results.json and per_view.json.
@@ -35,8 +35,8 @@ pub struct Arguments {
     model: ModelArguments,
     #[command(flatten)]
     data: session::DataArguments,
-    /// Which views are held out, for a file of Gaussians: inner, as trainings here hold them out of few, or the reference's; those of
-    /// a model folder are those of its training [default: inner]
+    /// Which views of a data set are held out for a file of Gaussians: as trainings here (inner) or as the reference does; a
+    /// model folder keeps those of its training [default: inner]
     #[arg(long, value_name = "NAME")]
     eval_split: Option<Split>,
     /// Measure all views, not only those held out
@@ -58,7 +58,7 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// PSNR of unrelated pictures, about, dB.
+/// Approximate PSNR of unrelated pictures, dB.
 const UNLIKE_DB: f64 = 10.0;
 
 pub fn run(arguments: &Arguments) -> Result<()> {

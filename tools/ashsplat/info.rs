@@ -27,13 +27,13 @@ pub struct Arguments {
     /// Folder of a data set's photos
     #[arg(short, long, value_name = "NAME", default_value = "images")]
     images: String,
-    /// A data set's photos as they are stored, or turned as their metadata (Exif) say
+    /// Read a data set's photos as stored, or turned as their metadata (Exif) say
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME", default_value = "auto")]
     orientation: String,
     /// Replace a data set's photos of lenses by those of pinholes
     #[arg(long)]
     undistort: bool,
-    /// Transparent pixels of a data set's photos as with train's --alpha
+    /// Treat transparent pixels of a data set's photos as train's --alpha does
     #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE", default_value = "target")]
     alpha: String,
     /// Count a data set's views as with --eval
@@ -42,7 +42,7 @@ pub struct Arguments {
     /// Drop the Gaussians whose parameters are not finite, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
-    /// Say how many Gaussians training on a data set can begin with in this much device memory, with a unit: 800M, 6G
+    /// Print how many Gaussians training on a data set can begin with in this much device memory, with a unit: 800M, 6G
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     max_memory: Option<u64>,
     #[command(flatten)]

@@ -13,10 +13,11 @@ use ashsplat_program::{output, session};
 use clap::Args;
 use std::path::PathBuf;
 
-/// Make a mesh of a trained scene, with coloured vertices: depths of the training's views, fused into a field of distances.
+/// Make a mesh of a trained scene, with coloured vertices, by fusing the depths of the training's views into a distance
+/// field.
 ///
-/// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces that fewer than three views show, or
-/// six of thirty and more, are missing.
+/// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces are missing that fewer than a
+/// fifth of the views show (three of few views, six of thirty and more).
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -41,9 +42,9 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Views that must have seen a voxel, of few views and of many: surfaces that fewer views show are mostly floaters.
+/// Least number of views that must show a voxel, from few and from many: surfaces that fewer views show are mostly floaters.
 const LEAST_VIEWS: [u32; 2] = [3, 6];
-/// Connected parts with fewer triangles than the mesh's over this are left out.
+/// A connected part is left out if its triangles are fewer than those of the mesh divided by this.
 const SMALLEST_PART: usize = 1000;
 
 fn positive(text: &str) -> Result<f32, String> {

@@ -28,8 +28,8 @@ use work::Work;
 
 /// Find the cameras of photographs or of a video: a data set for `ashsplat train`.
 ///
-/// COLMAP does it, which has to be installed, in three stages: features, matches, mapping. For a video, ffmpeg too: in each of
-/// equal intervals the sharpest frame is kept. Photographs stay as they are and where they are; a data set in another
+/// COLMAP, which must be installed, works in three stages: features, matches, mapping. A video also needs ffmpeg; the
+/// sharpest frame of each of equal intervals is kept. Photographs stay unchanged in their place; a data set in another
 /// folder gets hard links to them. Ctrl-C stops, and the same command continues with what was finished.
 #[derive(Args)]
 pub struct Arguments {
@@ -45,20 +45,21 @@ pub struct Arguments {
     /// Take a frame of a video from every N seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     every: Option<f64>,
-    /// Compare each photograph with all others, or with its neighbours by name; auto: with all if there are up to 60, with a
-    /// GPU 200
+    /// Compare each photograph with all others, or with its neighbours by name; auto: with all others for up to 60
+    /// photographs, with a GPU up to 200
     #[arg(long, value_parser = ["auto", "exhaustive", "sequential"], value_name = "NAME", default_value = "auto")]
     matcher: String,
-    /// COLMAP's model of the lens; with more parameters for wide angles (OPENCV) and fisheyes (OPENCV_FISHEYE)
+    /// COLMAP's camera model; wide angles need OPENCV, fisheyes OPENCV_FISHEYE
     #[arg(long, value_parser = COLMAP_MODELS, value_name = "NAME", default_value = "SIMPLE_RADIAL")]
     camera_model: String,
-    /// Which photographs share a camera: auto those of one size, camera and focal length (Exif), one all, each none
+    /// Which photographs share a camera: those of one size, camera and focal length in Exif (auto), all (one), or none
+    /// (each)
     #[arg(long, value_parser = ["auto", "one", "each"], value_name = "NAME", default_value = "auto")]
     cameras: String,
     /// Most features in a photograph [default: 4096, with a GPU 8192]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=100_000))]
     max_features: Option<u32>,
-    /// Do not use a GPU, also if COLMAP could
+    /// Do not use a GPU, even if COLMAP could
     #[arg(long)]
     no_gpu: bool,
     /// COLMAP's program

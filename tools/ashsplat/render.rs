@@ -30,8 +30,8 @@ pub mod views;
 /// at it from one side, else a path along them (--motion).
 ///
 /// EXR files hold linear light (R G B: the sRGB curve of the photographs undone, on the background), A = 1 - transmittance,
-/// and Z = depth along the view axis in the scene's units, infinite where nothing was blended (--depth). To be composed over
-/// something else, they are written with --transparent: R G B are then premultiplied by A, as compositors expect it.
+/// and Z = depth along the view axis in the scene's units, infinite where nothing was blended (--depth). For compositing,
+/// use --transparent: R G B are then premultiplied by A.
 ///
 /// A camera path is a JSON list in the format of a model folder's cameras.json: [{"id", "img_name", "width",
 /// "height", "position": [x, y, z], "rotation": 3 rows of the rotation from camera (x right, y down, z forward) to
@@ -41,7 +41,7 @@ pub mod views;
 pub struct Arguments {
     #[command(flatten)]
     model: ModelArguments,
-    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
+    /// Most Gaussians in a picture of a folder of tiles; the tiles whose error is largest in pixels are refined first
     /// [default: all]
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
     budget: Option<Target>,
@@ -54,10 +54,10 @@ pub struct Arguments {
     /// Frames per second of a film [default: 30]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=120))]
     fps: Option<u32>,
-    /// Render under the exposure of this photo, as the model folder's exposure.json has it
+    /// Render under the exposure that the model folder's exposure.json has for this photo
     #[arg(long, value_name = "PHOTO")]
     exposure_of: Option<String>,
-    /// Render with vignetting and response of the camera that took this photo, as the model folder's lens.json has them
+    /// Render with the vignetting and response that the model folder's lens.json has for the camera of this photo
     #[arg(long, value_name = "PHOTO")]
     lens_of: Option<String>,
     /// Which files to write; by default what --out names, and PNG into a folder
@@ -70,7 +70,7 @@ pub struct Arguments {
     /// of colours
     #[arg(long, conflicts_with_all = ["transparent", "exposure_of", "lens_of"])]
     normals: bool,
-    /// Without a background: an EXR's colours are premultiplied by its alpha, and a PNG has opacity
+    /// Draw no background: an EXR's colours are premultiplied by its alpha, and a PNG has opacity
     #[arg(long, conflicts_with_all = ["background", "exposure_of", "lens_of"])]
     transparent: bool,
     #[command(flatten)]

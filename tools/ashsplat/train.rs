@@ -71,13 +71,12 @@ pub struct Arguments {
     /// TOML file with any of these settings (as settings.toml in a model folder); the command line wins
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Continue from this checkpoint, or from the newest of the model folder; all else must be as it was. auto: from the newest, or
-    /// from the start where there is none
+    /// Continue from this checkpoint, or from the newest of the model folder; all other settings must be unchanged. auto:
+    /// from the newest, or from the start if there is none
     #[arg(long, value_name = "FILE|latest|auto", value_parser = value_parser!(StartFrom))]
     start_checkpoint: Option<StartFrom>,
-    /// Most memory for photos, with a unit: 800M, 6G; more of them are kept in a file beside the model folder
-    /// and read while training runs, with the same result [default: half of what the device gives or
-    /// --max-memory says]
+    /// Most memory for photos, with a unit: 800M, 6G; the other photos are kept in a file beside the model folder and read
+    /// during training, with the same result [default: half of the device's memory or of --max-memory]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     photo_memory: Option<u64>,
     /// Keep parameters and Adam's moments in the machine's memory, at most SIZE of it, for scenes that are larger than the device:
@@ -87,12 +86,12 @@ pub struct Arguments {
     /// Instead of training: run N iterations twice, compare hashes after each, and name the first kernel whose output differs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     verify_determinism: Option<u32>,
-    /// Largest share of training's time for the PSNR that is shown all along: the mean over the same few held-out views each
-    /// time, 0.001 to 0.9; 0 measures only after --test-iterations
+    /// Largest share of training's time for measuring PSNR during training, 0.001 to 0.9: the mean over the same few
+    /// held-out views each time; 0 measures only after --test-iterations
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
-    /// Wait while another training writes into the model folder, in place of an error: a scheduler's second try may meet its
-    /// first. The folder need not be there yet
+    /// Wait while another training writes into the model folder, instead of failing: a scheduler may retry while its first
+    /// try still runs. The folder need not exist yet
     #[arg(long)]
     wait: bool,
     #[command(flatten, next_help_heading = "Viewers of the running training")]
@@ -166,7 +165,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let job = Job::of(&settings.data.job)?;
-    // Before a ZIP is unpacked, of which nothing may be left.
+    // Ctrl-C is handled before a ZIP is unpacked, so that no unpacked files remain.
     let stop = session::stop_on_ctrl_c()?;
     let writes = arguments.verify_determinism.is_none();
     let model = &settings.data.model_path;

@@ -84,8 +84,8 @@ pub struct PrimitiveArguments {
 /// Choice of where frames end: on the device, or read back.
 #[derive(Args, Clone, Copy)]
 pub struct ReadBackArguments {
-    /// Leave pictures on the device, as in an engine that draws into its own images. To copy a large one to the host and to compose it
-    /// there takes longer than to draw it, and a GPU slows down meanwhile
+    /// Leave pictures on the device, as in an engine that draws into its own images. Copying and composing a large picture
+    /// on the host takes longer than drawing it, and a GPU slows down meanwhile
     #[arg(long)]
     pub no_read_back: bool,
 }
@@ -105,13 +105,14 @@ pub struct FrameArguments {
     pub output: OutputArguments,
 }
 
-/// `train`. Its windows say how many iterations are measured.
+/// Arguments of `train`. Its windows determine how many iterations are measured.
 #[derive(Args)]
 pub struct TrainArguments {
     /// The data set
     #[arg(long, value_name = "DATASET")]
     pub dataset: PathBuf,
-    /// Where its measurements end; each covers a hundred iterations, of which the trainer runs all before
+    /// Iterations at which measurements end; each covers the hundred iterations before, and the trainer runs all earlier
+    /// ones
     #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100])]
     pub windows: Vec<u32>,
     /// SH degree that training ends with
@@ -135,7 +136,7 @@ pub struct AllArguments {
     /// More synthetic frames: Gaussians and size of each
     #[arg(long, value_name = "N@WxH,...", value_delimiter = ',', default_values_t = [FrameSize::LARGE])]
     pub frames: Vec<FrameSize>,
-    /// A frame of a trained scene besides
+    /// Also measure a frame of this trained scene
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
     /// Its camera: entry N (from 0) of a cameras.json [default: N = 0; without it, one that sees the whole scene]
@@ -144,10 +145,10 @@ pub struct AllArguments {
     /// Size of its picture [default: --width and --height, where given, else the camera's own]
     #[arg(long, value_name = "WxH", value_parser = parse_size, requires = "scene")]
     pub scene_size: Option<(u32, u32)>,
-    /// Training of this data set besides; given again, of another one up to the end of the first window
+    /// Also measure training of this data set; a second data set is trained to the end of the first window
     #[arg(long, value_name = "DATASET")]
     pub dataset: Vec<PathBuf>,
-    /// Where its measurements end; each covers a hundred iterations
+    /// Iterations at which measurements end; each covers the hundred iterations before
     #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100], requires = "dataset")]
     pub windows: Vec<u32>,
     #[command(flatten)]

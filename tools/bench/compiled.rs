@@ -56,7 +56,7 @@ pub struct Figures {
     pub shared_bytes: Option<f64>,
     /// Subgroups that fit on a SIMD at a time; for NVIDIA, a quarter of the warps that fit on an SM.
     pub subgroups_per_simd: Option<f64>,
-    /// Estimate of the compiler, cycles.
+    /// Latency that the compiler estimates, cycles.
     pub latency: Option<f64>,
     /// Estimated cycles per subgroup when the machine is full.
     pub inverse_throughput: Option<f64>,
@@ -89,7 +89,7 @@ impl Figures {
             fills: any(&["fill count", "fills from memory", "num fills from memory"]),
             scratch_bytes: any(&["scratch size", "scratch memory size", "slm size", "local memory size"]),
             shared_bytes: any(&["lds size", "workgroup memory size", "shared memory size"]),
-            // Warps are counted per SM: the quotient compares with other drivers' figures.
+            // max warps/sm counts a whole SM, whose parts compare with other drivers' SIMDs.
             subgroups_per_simd: any(&["subgroups per simd", "max waves"])
                 .or_else(|| any(&["max warps/sm"]).map(|warps| warps / SIMDS_PER_SM)),
             latency: any(&["latency", "cycle count", "static cycle count"]),

@@ -5,7 +5,7 @@ use super::table;
 use ashsplat::Blending;
 use clap::Args;
 
-/// Which form.
+/// Form of blending.
 #[derive(Args, Clone, Default)]
 pub struct FormArguments {
     /// How tiles are blended: by subgroups that cull per region of a tile (regions), or by the paper's batches in shared memory (shared):

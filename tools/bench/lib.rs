@@ -60,10 +60,10 @@ enum What {
     TrainStep(FrameArguments),
     /// Training of a data set from its points, as `train` does it
     Train(TrainArguments),
-    /// Everything: the primitives at two sizes, two synthetic frames, one of them in both forms of blending, a step; --scene and
-    /// --dataset besides
+    /// Everything: the primitives at two sizes, two synthetic frames (one in both forms of blending), a step; also --scene
+    /// and --dataset
     All(AllArguments),
-    /// Recipes of training on scenes: held-out PSNR, what each scene gains or loses, time to a PSNR
+    /// Compare training recipes on scenes: held-out PSNR, gain or loss of each scene, time to a PSNR
     Suite(suite::Arguments),
 }
 

@@ -70,8 +70,8 @@ pub struct Arguments {
     ab: Option<Vec<String>>,
     #[command(flatten)]
     compiled: compiled::StaticArguments,
-    /// Write the SPIR-V of each kernel (or of those of --kernel) below this folder, with counts of its instructions by class;
-    /// constants have their defaults there, for --spec's are given to the driver
+    /// Write the SPIR-V of each kernel (or of those of --kernel) below this folder, with counts of its instructions by
+    /// class; constants have their defaults there, because the driver itself applies those of --spec
     #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP, conflicts_with_all = compiled::NOT_WITH_STATIC)]
     dump: Option<PathBuf>,
     /// Compile edited shaders again while running, and show what changed (feature hot-reload); Ctrl-C ends it
@@ -96,7 +96,7 @@ pub struct Arguments {
 impl Arguments {
     /// Default number of measured iterations.
     const FRAMES: u32 = 20;
-    /// Default number of iterations before them.
+    /// Default number of iterations before the measured ones.
     const WARMUP: u32 = 3;
 
     fn what(&self) -> What {

@@ -9,7 +9,7 @@ use ashsplat::vk::{Context, Limits, SpecOverride};
 use ashsplat::{BlendSamples, Result};
 use ashsplat_program::args::DeviceArguments;
 
-/// Counts on its own context, which opens when a task first needs it.
+/// Counts samples on a context of its own, which opens when a task first needs it.
 pub struct Counter<'a> {
     device: &'a DeviceArguments,
     context: Option<Context>,

@@ -46,7 +46,7 @@ pub struct Arguments {
 struct Suite {
     /// Iterations of each run.
     iterations: u32,
-    /// Iterations after which held-out photographs are measured besides.
+    /// Iterations after which held-out photographs are also measured.
     #[serde(default)]
     tests: Vec<u32>,
     #[serde(default = "one_seed")]
@@ -83,14 +83,14 @@ struct Scene {
     /// Further options of `train`.
     #[serde(default)]
     options: Vec<String>,
-    /// Number of photographs; all if it is missing. Points stay that two of them frame.
+    /// Number of photographs; all if it is missing. A point is kept if at least two of them show it.
     photographs: Option<usize>,
     /// Takes photographs at equal distances by name, from this place on.
     #[serde(default)]
     first: usize,
-    /// Takes the photographs whose cameras are nearest to that of this one instead.
+    /// Name of a photograph: those with the nearest cameras are taken instead.
     near: Option<String>,
-    /// PSNR whose first reaching is timed, dB.
+    /// The time until training first reaches this PSNR is measured, dB.
     until: Option<f64>,
 }
 

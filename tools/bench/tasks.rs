@@ -68,7 +68,7 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
     };
     arguments.frames.iter().try_for_each(|size| of_size(size).check())?;
     let iterations = arguments.iterations.get();
-    // With so few pairs, timing each command would show on a driver whose timestamps end a batch of work.
+    // With so few pairs, timestamps would cost noticeable time on a driver that ends a batch of work at each.
     let smaller = Iterations { timed: !is_slow, ..iterations };
     let few = Iterations {
         measured: iterations.measured.min(FEW_ITERATIONS),
@@ -82,7 +82,7 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
         reads_back: !arguments.read_back.no_read_back,
         seed: own.seed(),
     };
-    // Few iterations suffice for their ratio.
+    // Few iterations suffice for the ratio of both forms.
     let both = |scene: &Rc<Scene>| Task::Frames(Plan { forms: Blending::ALL.to_vec(), ..frame(scene) }, few);
     let synthetic = Rc::new(own.load()?);
     let mut tasks = vec![
@@ -96,7 +96,7 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
         let scene = Rc::new(of_size(size).load()?);
         let iterations = if is_slow && size.gaussians > MANY { few } else { iterations };
         tasks.push(Task::Frames(frame(&scene), iterations));
-        // A processor takes seconds for them; the frame above suffices for its table of forms.
+        // On a processor this takes seconds, and the frame above already gives the ratio.
         if !is_slow {
             tasks.push(both(&scene));
         }

@@ -40,8 +40,8 @@ impl Counts {
 /// Bytes by buffer at a workload's counts. Without counts, kernels touch everything that is bound.
 pub struct Traffic {
     counts: Option<Counts>,
-    /// Used bytes of a frame's buffers, sized by all Gaussians, by the visible ones, by these alone (depth sort), or by
-    /// instances alone (tile sort).
+    /// Used bytes of a frame's buffers: sized by all Gaussians, by visible ones, by visible ones alone in the depth sort, or
+    /// by instances alone in the tile sort.
     all: HashMap<&'static str, u64>,
     visible: HashMap<&'static str, u64>,
     depth_sort: HashMap<&'static str, u64>,

@@ -56,8 +56,8 @@ typedef enum AshsplatBackground {
 typedef enum AshsplatColorEncoding {
   // The values that the splats were trained in: those of photographs, display-encoded by the curve of sRGB.
   AshsplatColorEncoding_AsTrained = 0,
-  // Linear light with the primaries of sRGB, decoded after blending; what is premultiplied is decoded before the product
-  // with alpha. A target of an sRGB format encodes it again.
+  // Linear light with the primaries of sRGB, decoded after blending. Premultiplied colours are decoded before the product
+  // with alpha. A target of an sRGB format encodes them again.
   AshsplatColorEncoding_LinearSrgb = 1,
 } AshsplatColorEncoding;
 
@@ -79,7 +79,7 @@ typedef enum AshsplatImageUse {
   AshsplatImageUse_Occluder = 1,
   // The expected depth is written into it. R32_SFLOAT.
   AshsplatImageUse_Depth = 2,
-  // The Gaussian seen at each pixel is written into it. R32G32B32A32_UINT.
+  // The Gaussian picked at each pixel is written into it. R32G32B32A32_UINT.
   AshsplatImageUse_Pick = 3,
   // The motion of each pixel is written into it. R16G16_SFLOAT.
   AshsplatImageUse_Motion = 4,
@@ -96,12 +96,12 @@ typedef enum AshsplatJacobianLimit {
   AshsplatJacobianLimit_Symmetric = 1,
 } AshsplatJacobianLimit;
 
-// How the directions of a camera reach its picture. Frames of cameras with a lens are reserved: AshsplatReservation.lens. (a, b)
-// is (x, y)/z, or for fisheyes (x, y) theta/rho, s = a^2 + b^2, and T the tangential term of p1, p2.
+// How the directions of a camera reach its picture. Frames of cameras with a lens need AshsplatReservation.lens. (a, b) is
+// (x, y)/z, or for fisheyes (x, y) theta/rho, s = a^2 + b^2, and T the tangential term of p1, p2.
 typedef enum AshsplatProjection {
   // Through one point: a pinhole.
   AshsplatProjection_Perspective = 0,
-  // In parallel, along the camera's z axis. Frames of such cameras are reserved: AshsplatReservation.orthographic.
+  // In parallel, along the camera's z axis. Frames of such cameras need AshsplatReservation.orthographic.
   AshsplatProjection_Orthographic = 1,
   // (a, b) (1 + k1 s + k2 s^2 + k3 s^3 + n4 s^4) / (1 + k4 s + k5 s^2 + k6 s^3) + T: k1 k2 p1 p2 k3 k4 k5 k6 n4.
   AshsplatProjection_Brown = 2,
@@ -119,7 +119,7 @@ typedef enum AshsplatProjection {
   AshsplatProjection_Equirectangular = 8,
 } AshsplatProjection;
 
-// How a picture is read. Frames of cameras with a rolling shutter are reserved: AshsplatReservation.rolling_shutter.
+// How a picture is read. Frames of cameras with a rolling shutter need AshsplatReservation.rolling_shutter.
 typedef enum AshsplatReadout {
   // At once.
   AshsplatReadout_Global = 0,
@@ -240,18 +240,18 @@ typedef struct AshsplatRenderSettings {
   bool inverse_depth;
   // Factor of all scales: 1 for the scene as it is.
   float scale_modifier;
-  // The low-pass filter: variance that the projection adds along both axes, square pixels. 0 is as 0.3, the reference's;
-  // Mip-Splatting has 0.1.
+  // The low-pass filter: variance that the projection adds along both axes, square pixels. 0 means 0.3, as in the
+  // reference implementation; Mip-Splatting uses 0.1.
   float kernel_size;
   // Not 0: gradients take the compensation of `antialias` as a constant.
   uint32_t antialias_detached;
-  // Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames of such
-  // settings are reserved: AshsplatReservation.filter_3d.
+  // Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames
+  // with it need AshsplatReservation.filter_3d.
   uint32_t filter_3d;
 } AshsplatRenderSettings;
 
-// Destinations of gradients: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
-// one is not wanted.
+// Arrays of the host that receive gradients, each as long as the scene and shaped as in AshsplatGaussians. NULL leaves a
+// gradient out.
 typedef struct AshsplatGradients {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
@@ -267,9 +267,9 @@ typedef struct AshsplatGradients {
   float *sh;
   // By the centres in the picture: two each, 1 / pixels. 0 for Gaussians that are not visible.
   float *mean2d_px;
-  // By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. By three displacements of what
-  // is seen along the camera's axes (x right, y down, z forward), 1 / world units, then by three turns of it about these axes,
-  // 1 / radians.
+  // By the camera's pose T, from world to camera: six floats dL/dδ at δ = 0 of exp(δ^) T. The first three are
+  // displacements of the scene along the camera's axes (x right, y down, z forward), 1 / world units; the others are
+  // turns of it about these axes, 1 / radians.
   float *pose;
 } AshsplatGradients;
 
@@ -279,7 +279,8 @@ typedef struct AshsplatAlignment {
   uint32_t struct_size;
   // Number of steps; 100 reach about 2.5 degrees.
   uint32_t steps;
-  // Learning rate at the beginning: of turns, radians; of displacements, times the mean depth. It falls log-linearly to a hundredth.
+  // Initial learning rate of turns, radians; of displacements, times the mean depth. It falls log-linearly to a
+  // hundredth.
   double lr;
   // Weight of 1 - SSIM in the loss, 0 to 1; L1 takes the rest.
   double lambda_dssim;
@@ -311,13 +312,13 @@ typedef struct AshsplatMemory {
   uint64_t id;
 } AshsplatMemory;
 
-// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it,
-// also from other threads. Recording never allocates. But it frees memory that only the slot's last frame still
-// used, unless ashsplat_slot_release has done so.
+// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it, also from other
+// threads. Recording never allocates, but frees memory that only the slot's last frame used, unless ashsplat_slot_release
+// has done so.
 typedef struct AshsplatAllocator {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // Handed to both functions.
+  // The first argument of both functions.
   void *user;
   // Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.
   bool (*allocate)(void *user, const struct AshsplatMemoryRequest *request, struct AshsplatMemory *memory);
@@ -339,10 +340,10 @@ typedef struct AshsplatForeignDevice {
   void *device;
   // The family of the queues that recordings are submitted to.
   uint32_t queue_family;
-  // VkQueue for functions that submit, or NULL. Without a queue a context records, and what has to submit is refused: rendering and
-  // training always, uploads (ashsplat_scene_load, ashsplat_scene_new with Gaussians) on devices whose memory the host cannot write.
-  // A scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
-  // (ashsplat_scene_from_buffers).
+  // VkQueue for functions that submit, or NULL. Without a queue a context only records, and functions that submit are
+  // refused: rendering and training always, uploads (ashsplat_scene_load, ashsplat_scene_new with Gaussians) on devices
+  // whose memory the host cannot write. A scene is then made empty (ashsplat_scene_new) and filled by recorded updates,
+  // or is in the host's buffers (ashsplat_scene_from_buffers).
   void *queue;
   // The VkPhysicalDeviceVulkan12Features that the device was created with.
   const void *vulkan12_features;
@@ -350,7 +351,7 @@ typedef struct AshsplatForeignDevice {
   const void *vulkan13_features;
   // Names of the device extensions that were enabled.
   const char *const *extensions;
-  // How many.
+  // Number of extensions.
   uint32_t extension_count;
   // True if VK_EXT_debug_utils was enabled.
   bool debug_utils;
@@ -359,19 +360,19 @@ typedef struct AshsplatForeignDevice {
   const struct AshsplatAllocator *allocator;
   // A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
   uint64_t pipeline_cache;
-  // Handed to both functions below.
+  // The argument of both functions below.
   void *queue_user;
-  // Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this library
-  // does. Taken from any thread, around each vkQueueSubmit2, and around a vkQueueWaitIdle after a wait has failed. A thread that
-  // holds it calls nothing that submits. Recording never takes it.
+  // Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this
+  // library does. Called from any thread, around each vkQueueSubmit2, and around a vkQueueWaitIdle after a wait has
+  // failed. A thread that holds the lock calls nothing that submits. Recording never takes it.
   void (*lock_queue)(void *user);
-  // Gives it back, on the same thread. NULL with `lock_queue`.
+  // Releases the lock, on the same thread. NULL with `lock_queue`.
   void (*unlock_queue)(void *user);
-  // VkBool32: whether VK_KHR_shader_maximal_reconvergence is among `extensions` and its shaderMaximalReconvergence was
-  // enabled. Kernels then ask the driver for it. 0 if not, or if not known.
+  // VkBool32: true if VK_KHR_shader_maximal_reconvergence is among `extensions` and its shaderMaximalReconvergence was
+  // enabled. Kernels then ask the driver for it. 0 if not, or if unknown.
   uint32_t shader_maximal_reconvergence;
-  // VkBool32: the same for VK_KHR_shader_subgroup_uniform_control_flow and shaderSubgroupUniformControlFlow, for devices that do
-  // not have the other one.
+  // VkBool32: the same for VK_KHR_shader_subgroup_uniform_control_flow and shaderSubgroupUniformControlFlow, for devices
+  // that lack the other one.
   uint32_t shader_subgroup_uniform_control_flow;
 } AshsplatForeignDevice;
 
@@ -387,13 +388,13 @@ typedef struct AshsplatForeignImage {
   uint32_t width;
   // Height of the mip level, pixels.
   uint32_t height;
-  // Which mip level.
+  // Index of the mip level.
   uint32_t mip_level;
-  // Which layer.
+  // Index of the layer.
   uint32_t layer;
-  // VkImageCreateFlags. Of a target in another format than R8G8B8A8_UNORM and the two float formats of 16 and 32 bits, they
-  // have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
-  // channel are seen as R8G8B8A8_UNORM, A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs none.
+  // VkImageCreateFlags. A target needs MUTABLE_FORMAT in formats other than R8G8B8A8_UNORM and the floats of 16 and 32
+  // bits; also EXTENDED_USAGE if the device has no storage images of the format. 8 bits per channel are viewed as
+  // R8G8B8A8_UNORM; A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs no flags.
   uint32_t flags;
   // VkSampleCountFlagBits: 1. Images of more samples are refused: resolve them into one of one sample.
   uint32_t samples;
@@ -410,7 +411,7 @@ typedef struct AshsplatDepthMapping {
   float offset;
   // See above.
   float clear_value;
-  // True if z itself is linear in d: of an orthographic projection.
+  // True if z itself is linear in d, as for an orthographic projection.
   bool linear;
 } AshsplatDepthMapping;
 
@@ -450,8 +451,8 @@ typedef struct AshsplatHostBuffer {
 typedef struct AshsplatSceneSettings {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // True if it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
-  // among its scenes, and the others keep their places.
+  // True if it is drawn. An invisible scene takes no Gaussians of the reservation and no time on the device. It counts
+  // among its scenes, and the others keep their indices.
   bool visible;
   // Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
   float tint[3];
@@ -463,11 +464,11 @@ typedef struct AshsplatSceneSettings {
   uint32_t cut_out_count;
   // Volumes that keep or remove Gaussians.
   const struct AshsplatCutOut *cut_outs;
-  // A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
-  // STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL. It is destroyed after
-  // ashsplat_slot_release of every slot that was recorded with it.
+  // Mask of selected Gaussians, or NULL: bit i % 32 of word i / 32 for Gaussian i. The buffer has whole words for all
+  // Gaussians and the usages STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST. It is destroyed after ashsplat_slot_release
+  // of every slot that was recorded with it.
   const struct AshsplatHostBuffer *selection;
-  // The other colour, as trained, 0 to 65504 each.
+  // Colour of selected Gaussians, as trained, 0 to 65504 each.
   float selection_color[3];
   // Its share in the drawn colour, 0 to 1.
   float selection_share;
@@ -499,8 +500,8 @@ typedef struct AshsplatPlaced {
   float scale;
   // How it is drawn, or NULL: as it is.
   const struct AshsplatSceneSettings *settings;
-  // Its pose in the frame before, for AshsplatRecordedFrame.motion. NULL: the same as now, for scenes that stand still and
-  // for those that were not there.
+  // Its pose in the previous frame, for AshsplatRecordedFrame.motion. NULL: the same as now, for scenes that stand still
+  // and for new ones.
   const struct AshsplatPose *previous_pose;
 } AshsplatPlaced;
 
@@ -567,7 +568,7 @@ typedef struct AshsplatDepthTarget {
 typedef struct AshsplatGaussians {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // How many.
+  // Number of Gaussians.
   uint32_t count;
   // Degree of the spherical harmonics, 0 to 3.
   uint32_t sh_degree;
@@ -607,10 +608,10 @@ typedef struct AshsplatPickTarget {
   struct AshsplatHostImage to;
 } AshsplatPickTarget;
 
-// An image of motion: for each pixel the mean motion on the screen of what is blended there, from the frame before to this one,
-// weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. It counts with a motion of
-// 0 where its earlier place is unknown: where its mean did not lie in front of the earlier camera (z above 0.2), or lay too far
-// away for a float. How updates move Gaussians is not known.
+// An image of motion: for each pixel the mean motion on the screen of the blended Gaussians, from the previous frame to
+// this one, weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. Its
+// motion is 0 if its earlier place is unknown: its mean was not in front of the earlier camera (z above 0.2), or too far
+// away for a float. Motion by updates is not included.
 typedef struct AshsplatMotionTarget {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
@@ -618,13 +619,13 @@ typedef struct AshsplatMotionTarget {
   float min_weight;
   // The motion of empty pixels, pixels.
   float empty[2];
-  // True if empty pixels keep what is in the image, in place of `empty`.
+  // True if empty pixels keep the image's contents instead of `empty`.
   bool keeps_empty;
-  // The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
-  // the frame's camera. Poses before are in AshsplatPlaced.
+  // The camera of the previous frame, of the same width and height. Motion is measured from its own principal point to
+  // that of the frame's camera. Earlier poses are in AshsplatPlaced.
   const struct AshsplatCamera *previous_camera;
-  // A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now less the place
-  // before, in pixels, x right, y down. What is at pixel p now was at p - motion. Its image is never NULL:
+  // A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now minus the
+  // place before, pixels, x right, y down. A point at pixel p was at p - motion. Its image is never NULL:
   // AshsplatRecordedFrame.motion is NULL in a frame without motion.
   struct AshsplatHostImage to;
 } AshsplatMotionTarget;
@@ -637,10 +638,10 @@ typedef struct AshsplatSurfaceTarget {
   uint32_t depth;
   // A storage image of format R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT. A texel is the mean of the Gaussians' normals, weighted
   // as in blending, of unit length in the camera's frame (x right, y down, z forward), and the surface's depth z there, world
-  // units. All are 0 where there is no surface, and the normal where normals cancel out. A Gaussian's normal is its shortest axis,
-  // turned towards the camera. Halves have depths to 1 in 2000, below 65504. Fisheyes and panoramas have the distance from the
-  // camera in place of z, all lenses at the Gaussian's mean, and rolling shutters the normals of the pose halfway. Its image is
-  // never NULL: AshsplatRecordedFrame.surface is NULL in a frame without surfaces.
+  // units. All are 0 without a surface, and the normal is 0 where normals cancel out. A Gaussian's normal is its shortest
+  // axis, turned towards the camera. Halves store depths below 65504, to 1 in 2000. Fisheyes and panoramas have the
+  // distance from the camera instead of z, all lenses that of the Gaussian's mean. Rolling shutters have the normals of
+  // the pose halfway. Its image is never NULL: AshsplatRecordedFrame.surface is NULL in a frame without surfaces.
   struct AshsplatHostImage to;
 } AshsplatSurfaceTarget;
 
@@ -658,19 +659,19 @@ typedef struct AshsplatRecordedFrame {
   const struct AshsplatCamera *camera;
   // How to render, or NULL for the defaults.
   const struct AshsplatRenderSettings *settings;
-  // The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
+  // The image that receives the colours, or NULL for the slot's own buffer (ashsplat_slot_pixels).
   const struct AshsplatTarget *target;
   // The host's depth image, which hides splats that are farther away, or NULL.
   const struct AshsplatOccluder *occluder;
-  // The image that expected depth is written to, or NULL.
+  // The image that receives expected depth, or NULL.
   const struct AshsplatDepthTarget *depth;
   // Parameter updates before the frame.
   const struct AshsplatUpdate *updates;
-  // The image that what is picked is written to, or NULL: nothing is noted then.
+  // The image that receives picks, or NULL: none are computed then.
   const struct AshsplatPickTarget *pick;
-  // The image that motion is written to, or NULL: then none is computed.
+  // The image that receives motion, or NULL: none is computed then.
   const struct AshsplatMotionTarget *motion;
-  // The image that normals and depths of the surface are written to, or NULL: then none are computed.
+  // The image that receives normals and depths of the surface, or NULL: none are computed then.
   const struct AshsplatSurfaceTarget *surface;
 } AshsplatRecordedFrame;
 
@@ -731,9 +732,9 @@ typedef struct AshsplatReservation {
   bool expected_depth;
   // True if all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
   bool images_only;
-  // Queues that frames are submitted to. What lives only while a frame is computed exists once for each
-  // queue: slots share it whose slot % queues is the same. Their frames go to one queue, in
-  // any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
+  // Number of queues that frames are submitted to. Memory that only a running frame needs exists once for each queue:
+  // slots with the same slot % queues share it. Their frames go to one queue, in any order, or are ordered by semaphores.
+  // With as many queues as slots nothing is shared.
   uint32_t queues;
   // True if scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
   bool tint;
@@ -747,7 +748,7 @@ typedef struct AshsplatReservation {
   bool motion;
   // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
   uint64_t staging_bytes;
-  // Views of a recording (ashsplat_record_views), which share the memory of one; 0 is as 1.
+  // Views of a recording (ashsplat_record_views), which share the memory of one; 0 means 1.
   uint32_t views;
   // Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 256 bytes for each
   // scene and view, and more kernels.
@@ -790,9 +791,9 @@ typedef struct AshsplatSlotReport {
   uint32_t struct_size;
   // True if the frame has finished. The other fields are valid only then.
   bool finished;
-  // True if more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
-  // needed than there were. The picture then lacks the Gaussians farthest away, or all of them if `instances_needed` is
-  // `UINT32_MAX`. ashsplat_reservation_grown makes room, but for the last case.
+  // True if more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for
+  // `blend_passes`) are needed than there were. The picture then lacks the Gaussians farthest away, or all of them if
+  // `instances_needed` is `UINT32_MAX`. ashsplat_reservation_grown enlarges the reservation, except in the last case.
   bool overflow;
   // Gaussians in the frame's scenes, without those of scenes that are not drawn.
   uint32_t gaussians;
@@ -806,7 +807,7 @@ typedef struct AshsplatSlotReport {
   uint32_t longest_tile;
   // Passes of blending that the longest tile needs.
   uint32_t blend_passes_needed;
-  // Time on the device, nanoseconds; 0 without timestamps. Of a recording of many views, of its first 255 stages.
+  // Time on the device, nanoseconds; 0 without timestamps. With many views, only the recording's first 255 stages count.
   double nanoseconds;
   // How often the recording sorts by depth: once for each view, or for each run of views that share it
   // (AshsplatReservation.shared_sort).
@@ -832,11 +833,11 @@ typedef struct AshsplatTrainView {
   const uint8_t *mask;
   // The inverse depth that pixels should have, row by row, 1 / world units; infinite where it is not known. NULL: none.
   const float *inverse_depth;
-  // Sparse points that it shows, for the setting depth_points; not beside inverse_depth. Three floats each: where the photograph shows
-  // it, pixels, x to the right and y down, the first pixel's centre at 0, 0; and 1 / z in the camera's frame, 1 / world units. May be
-  // NULL.
+  // Sparse points that the photograph shows, for the setting depth_points; not together with inverse_depth. Three floats
+  // each: where the photograph shows it, pixels, x to the right and y down, the first pixel's centre at 0, 0; and 1 / z
+  // in the camera's frame, 1 / world units. May be NULL.
   const float *depth_points;
-  // Their number.
+  // Number of depth points.
   uint32_t depth_point_count;
   // Id of the camera that took the photograph. Views with the same id share lens effects.
   uint32_t camera_id;
@@ -856,7 +857,7 @@ typedef struct AshsplatStep {
   // The loss before it; NaN if the iteration was skipped, because its frame exceeds the largest possible
   // capacity.
   float loss;
-  // Gaussians in it.
+  // Number of Gaussians.
   uint32_t gaussians;
   // Gaussians visible in its view.
   uint32_t visible;
@@ -890,7 +891,7 @@ typedef struct AshsplatTile {
   // Error of the tile against the finest tiles, units of the scene. (error / size of a pixel)² is the sum of squared colour
   // differences over the picture.
   double error;
-  // The least corner of what it and the tiles below it reach, units of the scene.
+  // Least corner of the bounds of the tile and its descendants, units of the scene.
   float min[3];
   // The greatest corner.
   float max[3];
@@ -902,9 +903,9 @@ typedef struct AshsplatDemand {
   uint32_t struct_size;
   // Number of cameras, for example 2 for two eyes.
   uint32_t camera_count;
-  // Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
+  // The cameras. A tile is chosen if some camera sees it; its largest error in any picture decides.
   const struct AshsplatCamera *cameras;
-  // Gaussians of all tiles that are drawn, at most.
+  // Most Gaussians of all drawn tiles.
   uint64_t budget;
   // Border around each picture, in picture sizes, whose Gaussians are drawn too, so that a turning camera finds them. They are
   // refined after those in the picture. 0: none.
@@ -918,8 +919,8 @@ extern "C" {
 // The message of this thread's last failure: one line, valid until the next.
 const char *ashsplat_last_error(void);
 
-// Returns what the file of this thread's last ashsplat_trainer_save cannot hold, a line each; empty where it holds all. The text is valid
-// until the next.
+// Lists what the file of this thread's last ashsplat_trainer_save cannot hold, one per line; empty if it holds everything.
+// The text is valid until the next save.
 const char *ashsplat_last_loss(void);
 
 // The version of the library, MAJOR.MINOR.PATCH.
@@ -941,7 +942,7 @@ enum AshsplatStatus ashsplat_context_new(const char *device, struct AshsplatCont
 void ashsplat_context_free(struct AshsplatContext *context);
 
 // Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, SOG, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
-// its name's ending select the format. ashsplat_scene_told has what the file says besides.
+// its name's ending select the format. ashsplat_scene_told gives the file's notes.
 //
 // # Safety
 // `context` is alive, `path` is a C string, `scene` is valid for a write.
@@ -1043,9 +1044,9 @@ enum AshsplatStatus ashsplat_gradients(struct AshsplatRenderer *renderer,
                                        const float *inverse_depth_gradient,
                                        const struct AshsplatGradients *gradients);
 
-// Moves a camera until the picture of a fixed scene agrees with a photograph, as views that were not trained on are aligned before they
-// are measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel, those
-// with 0 do not count, or NULL. `aligned` may be `camera`. What ashsplat_gradients refuses is refused here.
+// Moves a camera until the picture of a fixed scene agrees with a photograph, for example before a held-out view is
+// measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel,
+// those with 0 do not count, or NULL. `aligned` may be `camera`. Refuses what ashsplat_gradients refuses.
 //
 // # Safety
 // `renderer`, `scene` and `camera` are alive; `settings` and `alignment` too, or NULL for the defaults; `background` has three floats,
@@ -1062,8 +1063,8 @@ enum AshsplatStatus ashsplat_align(struct AshsplatRenderer *renderer,
 
 // Gives a scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from the cameras that
 // the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits. Orthographic cameras are refused.
-// A PLY with sizes of its own has them in its scales and opacities already, and a trainer keeps those of its scene itself: not for
-// these. Updates and Gaussians that are added later have none.
+// Not for a PLY whose scales and opacities contain the filter already, nor for a trainer's scene, which keeps its own
+// sizes. Updates and Gaussians that are added later have none.
 //
 // # Safety
 // `renderer` and `scene` are alive, `cameras` is valid for `count` structs of one size. No recorded frame may use the scene meanwhile.
@@ -1083,9 +1084,8 @@ enum AshsplatStatus ashsplat_filters(struct AshsplatRenderer *renderer,
 // The features and extensions that a host has to enable, as readable text.
 const char *ashsplat_requirements(void);
 
-// Turns on the required features in the structs with which a host will create its device, and does not
-// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features, with their sType set. What the host
-// needs besides it turns on in them itself.
+// Sets the required features in the structs with which a host will create its device: VkPhysicalDeviceVulkan12Features and
+// VkPhysicalDeviceVulkan13Features, with their sType set. Other features stay as the host has set them.
 //
 // # Safety
 // Both pointers are valid for such structs.
@@ -1109,7 +1109,7 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
 enum AshsplatStatus ashsplat_context_from_foreign(const struct AshsplatForeignDevice *host,
                                                   struct AshsplatContext **context);
 
-// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after the field of
+// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers name it after the field of
 // AshsplatRecordedFrame: 'target', 'occluder' and so on.
 //
 // # Safety
@@ -1120,12 +1120,11 @@ enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
                                          uint32_t purpose,
                                          struct AshsplatImage **image);
 
-// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
-// host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the
-// layout of AshsplatHostImage.from to `layout`, from that family to the context's. Behind it: one from `layout` to `layout`, back. From
-// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before. With the context's own family the image is as
-// without this call: there are no other halves, the host does not change the layout before, and a barrier behind is as AshsplatRelease
-// says.
+// Declares that queues of another family own the image between recordings. A recording acquires it and releases it again.
+// The host records the matching barriers in a queue of that family, ordered by semaphores in all stages. Its barrier before
+// the recording goes from the layout of AshsplatHostImage.from to `layout`, and from that family to the context's. The one
+// after it goes back, from `layout` to `layout`. VK_IMAGE_LAYOUT_UNDEFINED discards the contents, without a barrier before.
+// With the context's own family, the host records neither, and a barrier after the recording is as AshsplatRelease says.
 //
 // # Safety
 // `image` is alive, `layout` is valid for a write, or NULL: it receives the VkImageLayout.
@@ -1143,8 +1142,8 @@ void ashsplat_image_free(struct AshsplatImage *image);
 // Converts a host's matrices to a camera and a depth mapping. Both matrices are column-major, clip =
 // projection * view * world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the
 // top of the picture (Direct3D's way, or a viewport of negative height). View space may be right- or left-handed, its z forward or
-// backward. The world is right-handed, as the scenes are: matrices that together mirror the picture are refused. A host with a
-// left-handed world gives view * M, with M what takes the scene's axes to its own, diag(1, 1, -1, 1) say.
+// backward. The world is right-handed, as the scenes are: matrices that together mirror the picture are refused. A host
+// with a left-handed world gives view * M, where M maps the scene's axes to its own, for example diag(1, 1, -1, 1).
 //
 // # Safety
 // Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.
@@ -1202,8 +1201,8 @@ enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *conte
                                              void **device,
                                              uint32_t *queue_family);
 
-// The kernels that ashsplat_renderer_new and ashsplat_reserve build, and their number. Once they are built, both build none.
-// Free them with ashsplat_kernels_free.
+// Lists the kernels that ashsplat_renderer_new and ashsplat_reserve build, with their number. Once they are built, these
+// build none. Free the list with ashsplat_kernels_free.
 //
 // # Safety
 // `context` and `wanted` are alive, `kernels` and `count` are valid for a write.
@@ -1218,7 +1217,7 @@ enum AshsplatStatus ashsplat_kernels_new(const struct AshsplatContext *context,
 // `kernels` is alive, and so is its context.
 enum AshsplatStatus ashsplat_kernels_build(const struct AshsplatKernels *kernels, uint32_t index);
 
-// Frees the list. What is built stays.
+// Frees the list. Built kernels stay.
 //
 // # Safety
 // `kernels` is NULL or of this library and not used afterwards.
@@ -1233,14 +1232,14 @@ enum AshsplatStatus ashsplat_lpips_new(const struct AshsplatContext *context,
                                        const char *weights,
                                        struct AshsplatLpips **lpips);
 
-// Frees it.
+// Frees a network.
 //
 // # Safety
 // `lpips` is NULL or of this library and not used afterwards.
 void ashsplat_lpips_free(struct AshsplatLpips *lpips);
 
-// Name of what ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of
-// values from 0 to 1, as the reference implementation. The name lives as long as `lpips`.
+// Name of the measure of ashsplat_lpips_distance: "lpips_alex" on values from -1 to 1, as in gsplat; or
+// "lpips_vgg_unscaled" on values from 0 to 1, as in the reference implementation. The name lives as long as `lpips`.
 //
 // # Safety
 // `lpips` is alive, `name` is valid for a write.
@@ -1259,7 +1258,7 @@ enum AshsplatStatus ashsplat_lpips_distance(struct AshsplatLpips *lpips,
                                             uint32_t height,
                                             double *distance);
 
-// A cut-out whose pose is one in the world, for a scene that is placed there: `placed` needs no scene.
+// Converts a cut-out with a pose in the world to the axes of a scene that is placed there: `placed` needs no scene.
 //
 // # Safety
 // `cut_out` and `placed` are alive, `in_scene` is valid for a write; it may be `cut_out`.
@@ -1268,7 +1267,8 @@ enum AshsplatStatus ashsplat_cut_out_in_scene(const struct AshsplatCutOut *cut_o
                                               struct AshsplatCutOut *in_scene);
 
 // Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
-// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not looked at:
+// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not
+// checked:
 // Gaussians with a NaN, or an infinite position, size or quaternion, are not drawn. Quaternions are normalised.
 //
 // # Safety
@@ -1352,16 +1352,16 @@ uint64_t ashsplat_update_bytes(uint32_t gaussians, uint32_t sh_degree);
 enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
                                      const struct AshsplatReservation *wanted);
 
-// Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay.
-// The new reservation replaces the earlier one: a smaller one gives memory back.
+// Same as ashsplat_reserve, but while frames are in flight, without waiting. Every slot changes to the new memory at its
+// next recording, with images_only also at its release; until then both memories exist. The numbers of slots and of views
+// stay. The new reservation replaces the earlier one: a smaller one gives memory back.
 //
 // # Safety
 // `renderer` and `wanted` are alive.
 enum AshsplatStatus ashsplat_grow(struct AshsplatRenderer *renderer,
                                   const struct AshsplatReservation *wanted);
 
-// The reservation with room for what a frame needed, in half as many instances again; the same if the frame fitted. For
+// Enlarges a reservation to what a frame needed, with half as many instances again; unchanged if the frame fitted. For
 // ashsplat_grow or ashsplat_reserve. `grown` may be `reservation`.
 //
 // # Safety
@@ -1378,8 +1378,8 @@ enum AshsplatStatus ashsplat_reservation_bytes(const struct AshsplatRenderer *re
                                                const struct AshsplatReservation *wanted,
                                                uint64_t *bytes);
 
-// Same as ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
-// it there are, for each slot, 36 bytes for each view that the host can read, and `staging_bytes`.
+// Same as ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's.
+// Besides it, each slot takes 36 bytes for each view that the host can read, and `staging_bytes`.
 //
 // # Safety
 // `renderer`, `wanted` and `block` are alive. The buffer is of the context's device, bound to memory, has the usages
@@ -1522,8 +1522,9 @@ enum AshsplatStatus ashsplat_trainer_new_from_points(const struct AshsplatContex
                                                      const char *settings_json,
                                                      struct AshsplatTrainer **trainer);
 
-// Goes on from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never stopped. The
-// other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is NULL after an error.
+// Continues from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never
+// stopped. The other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is
+// NULL after an error.
 //
 // # Safety
 // Same as for ashsplat_trainer_new; `path` is a C string.
@@ -1619,13 +1620,13 @@ enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
 enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer,
                                            struct AshsplatScene **scene);
 
-// Reads the description of a tree, and no tile yet: `folder` has its tileset.json.
+// Reads the description of a tree, but no tiles: `folder` has its tileset.json.
 //
 // # Safety
 // `folder` is a C string, `tree` is valid for a write.
 enum AshsplatStatus ashsplat_tree_open(const char *folder, struct AshsplatTree **tree);
 
-// Frees it. What was read of it stays.
+// Frees a tree. Tiles that were read stay.
 //
 // # Safety
 // `tree` is NULL or of this library and not used afterwards.
@@ -1645,10 +1646,10 @@ enum AshsplatStatus ashsplat_tree_tile(const struct AshsplatTree *tree,
                                        uint32_t tile,
                                        struct AshsplatTile *told);
 
-// The tiles that a demand wants to be loaded, in this order: those that ashsplat_tree_cut would draw, and those on the way to them. A
-// tile comes after the one above it, and sooner where the error of that is larger in pixels. `possible` says of each tile of
-// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be
-// drawn beside or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
+// The tiles to load for a demand, most urgent first: those that ashsplat_tree_cut would draw, and their ancestors. A tile
+// follows its parent, and comes sooner if its parent's error is larger in pixels. `possible` has a value per tile, false if
+// it cannot be loaded, for example because its file is damaged; NULL: all can. Tiles that could only be drawn beside or
+// below such a tile are left out. `tiles` has room for as many numbers as the tree has tiles.
 //
 // # Safety
 // `tree` is alive, `demand` begins with its size and has as many cameras as it says, `possible` is NULL or has one value per tile,
@@ -1661,8 +1662,8 @@ enum AshsplatStatus ashsplat_tree_wanted(const struct AshsplatTree *tree,
 
 // Tiles to draw, ascending: among those in `there`, the finest that the budget allows, refined first where the error in pixels is
 // largest. While one of the tiles that would replace a tile is not there, the tile itself is drawn. `there` has a value for each
-// tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing is drawn where it is not
-// in the pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
+// tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing is drawn if it
+// is out of view or not there. `tiles` has room for as many numbers as the tree has tiles.
 //
 // # Safety
 // Same as for ashsplat_tree_wanted.
@@ -1672,7 +1673,8 @@ enum AshsplatStatus ashsplat_tree_cut(const struct AshsplatTree *tree,
                                       uint32_t *tiles,
                                       uint32_t *count);
 
-// Reads a tile's file: on a thread of the host's that may wait for a disk. Its Gaussians go to the device by AshsplatUpdate, in a frame.
+// Reads a tile's file: call it on a thread that may wait for a disk. AshsplatUpdate copies the Gaussians to the device in a
+// frame.
 //
 // # Safety
 // `tree` is alive, `gaussians` is valid for a write.
@@ -1696,7 +1698,7 @@ enum AshsplatStatus ashsplat_tile_told(const struct AshsplatTileGaussians *of,
                                        bool *antialiased,
                                        const char **warnings);
 
-// Frees them, once the call that has recorded their update has returned.
+// Frees a tile's Gaussians, once the call that has recorded their update has returned.
 //
 // # Safety
 // `gaussians` is NULL or of this library and not used afterwards.

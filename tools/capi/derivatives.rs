@@ -4,8 +4,8 @@ use super::training::photo;
 use super::*;
 use ashsplat::{Alignment, Gradients};
 
-/// Destinations of gradients: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
-/// one is not wanted.
+/// Arrays of the host that receive gradients, each as long as the scene and shaped as in AshsplatGaussians. NULL leaves a
+/// gradient out.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatGradients {
@@ -23,9 +23,9 @@ pub struct AshsplatGradients {
     pub sh: *mut f32,
     /// By the centres in the picture: two each, 1 / pixels. 0 for Gaussians that are not visible.
     pub mean2d_px: *mut f32,
-    /// By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. By three displacements of what
-    /// is seen along the camera's axes (x right, y down, z forward), 1 / world units, then by three turns of it about these axes,
-    /// 1 / radians.
+    /// By the camera's pose T, from world to camera: six floats dL/dδ at δ = 0 of exp(δ^) T. The first three are
+    /// displacements of the scene along the camera's axes (x right, y down, z forward), 1 / world units; the others are
+    /// turns of it about these axes, 1 / radians.
     pub pose: *mut f32,
 }
 
@@ -37,7 +37,8 @@ pub struct AshsplatAlignment {
     pub struct_size: u32,
     /// Number of steps; 100 reach about 2.5 degrees.
     pub steps: u32,
-    /// Learning rate at the beginning: of turns, radians; of displacements, times the mean depth. It falls log-linearly to a hundredth.
+    /// Initial learning rate of turns, radians; of displacements, times the mean depth. It falls log-linearly to a
+    /// hundredth.
     pub lr: f64,
     /// Weight of 1 - SSIM in the loss, 0 to 1; L1 takes the rest.
     pub lambda_dssim: f64,
@@ -100,9 +101,9 @@ impl AshsplatGradients {
     }
 }
 
-/// Moves a camera until the picture of a fixed scene agrees with a photograph, as views that were not trained on are aligned before they
-/// are measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel, those
-/// with 0 do not count, or NULL. `aligned` may be `camera`. What ashsplat_gradients refuses is refused here.
+/// Moves a camera until the picture of a fixed scene agrees with a photograph, for example before a held-out view is
+/// measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel,
+/// those with 0 do not count, or NULL. `aligned` may be `camera`. Refuses what ashsplat_gradients refuses.
 ///
 /// # Safety
 /// `renderer`, `scene` and `camera` are alive; `settings` and `alignment` too, or NULL for the defaults; `background` has three floats,
@@ -140,8 +141,8 @@ pub unsafe extern "C" fn ashsplat_align(
 
 /// Gives a scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from the cameras that
 /// the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits. Orthographic cameras are refused.
-/// A PLY with sizes of its own has them in its scales and opacities already, and a trainer keeps those of its scene itself: not for
-/// these. Updates and Gaussians that are added later have none.
+/// Not for a PLY whose scales and opacities contain the filter already, nor for a trainer's scene, which keeps its own
+/// sizes. Updates and Gaussians that are added later have none.
 ///
 /// # Safety
 /// `renderer` and `scene` are alive, `cameras` is valid for `count` structs of one size. No recorded frame may use the scene meanwhile.

@@ -25,9 +25,8 @@ pub extern "C" fn ashsplat_requirements() -> *const c_char {
     TEXT.get_or_init(|| c_text(&Context::requirements().to_string())).as_ptr()
 }
 
-/// Turns on the required features in the structs with which a host will create its device, and does not
-/// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features, with their sType set. What the host
-/// needs besides it turns on in them itself.
+/// Sets the required features in the structs with which a host will create its device: VkPhysicalDeviceVulkan12Features and
+/// VkPhysicalDeviceVulkan13Features, with their sType set. Other features stay as the host has set them.
 ///
 /// # Safety
 /// Both pointers are valid for such structs.
@@ -127,7 +126,7 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
     }
 }
 
-/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after the field of
+/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers name it after the field of
 /// AshsplatRecordedFrame: 'target', 'occluder' and so on.
 ///
 /// # Safety
@@ -159,12 +158,11 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     })
 }
 
-/// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
-/// host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the
-/// layout of AshsplatHostImage.from to `layout`, from that family to the context's. Behind it: one from `layout` to `layout`, back. From
-/// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before. With the context's own family the image is as
-/// without this call: there are no other halves, the host does not change the layout before, and a barrier behind is as AshsplatRelease
-/// says.
+/// Declares that queues of another family own the image between recordings. A recording acquires it and releases it again.
+/// The host records the matching barriers in a queue of that family, ordered by semaphores in all stages. Its barrier before
+/// the recording goes from the layout of AshsplatHostImage.from to `layout`, and from that family to the context's. The one
+/// after it goes back, from `layout` to `layout`. VK_IMAGE_LAYOUT_UNDEFINED discards the contents, without a barrier before.
+/// With the context's own family, the host records neither, and a barrier after the recording is as AshsplatRelease says.
 ///
 /// # Safety
 /// `image` is alive, `layout` is valid for a write, or NULL: it receives the VkImageLayout.
@@ -196,8 +194,8 @@ pub unsafe extern "C" fn ashsplat_image_free(image: *mut AshsplatImage) {
 /// Converts a host's matrices to a camera and a depth mapping. Both matrices are column-major, clip =
 /// projection * view * world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the
 /// top of the picture (Direct3D's way, or a viewport of negative height). View space may be right- or left-handed, its z forward or
-/// backward. The world is right-handed, as the scenes are: matrices that together mirror the picture are refused. A host with a
-/// left-handed world gives view * M, with M what takes the scene's axes to its own, diag(1, 1, -1, 1) say.
+/// backward. The world is right-handed, as the scenes are: matrices that together mirror the picture are refused. A host
+/// with a left-handed world gives view * M, where M maps the scene's axes to its own, for example diag(1, 1, -1, 1).
 ///
 /// # Safety
 /// Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.
@@ -338,15 +336,15 @@ pub struct AshsplatMemory {
     pub id: u64,
 }
 
-/// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it,
-/// also from other threads. Recording never allocates. But it frees memory that only the slot's last frame still
-/// used, unless ashsplat_slot_release has done so.
+/// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it, also from other
+/// threads. Recording never allocates, but frees memory that only the slot's last frame used, unless ashsplat_slot_release
+/// has done so.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatAllocator {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// Handed to both functions.
+    /// The first argument of both functions.
     pub user: *mut c_void,
     /// Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.
     pub allocate: Option<

@@ -30,8 +30,8 @@ pub enum AshsplatBackground {
 pub enum AshsplatColorEncoding {
     /// The values that the splats were trained in: those of photographs, display-encoded by the curve of sRGB.
     AsTrained = 0,
-    /// Linear light with the primaries of sRGB, decoded after blending; what is premultiplied is decoded before the product
-    /// with alpha. A target of an sRGB format encodes it again.
+    /// Linear light with the primaries of sRGB, decoded after blending. Premultiplied colours are decoded before the product
+    /// with alpha. A target of an sRGB format encodes them again.
     LinearSrgb = 1,
 }
 
@@ -112,10 +112,10 @@ pub struct AshsplatPickTarget {
     pub to: AshsplatHostImage,
 }
 
-/// An image of motion: for each pixel the mean motion on the screen of what is blended there, from the frame before to this one,
-/// weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. It counts with a motion of
-/// 0 where its earlier place is unknown: where its mean did not lie in front of the earlier camera (z above 0.2), or lay too far
-/// away for a float. How updates move Gaussians is not known.
+/// An image of motion: for each pixel the mean motion on the screen of the blended Gaussians, from the previous frame to
+/// this one, weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. Its
+/// motion is 0 if its earlier place is unknown: its mean was not in front of the earlier camera (z above 0.2), or too far
+/// away for a float. Motion by updates is not included.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatMotionTarget {
@@ -125,13 +125,13 @@ pub struct AshsplatMotionTarget {
     pub min_weight: f32,
     /// The motion of empty pixels, pixels.
     pub empty: [f32; 2],
-    /// True if empty pixels keep what is in the image, in place of `empty`.
+    /// True if empty pixels keep the image's contents instead of `empty`.
     pub keeps_empty: bool,
-    /// The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
-    /// the frame's camera. Poses before are in AshsplatPlaced.
+    /// The camera of the previous frame, of the same width and height. Motion is measured from its own principal point to
+    /// that of the frame's camera. Earlier poses are in AshsplatPlaced.
     pub previous_camera: *const AshsplatCamera,
-    /// A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now less the place
-    /// before, in pixels, x right, y down. What is at pixel p now was at p - motion. Its image is never NULL:
+    /// A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now minus the
+    /// place before, pixels, x right, y down. A point at pixel p was at p - motion. Its image is never NULL:
     /// AshsplatRecordedFrame.motion is NULL in a frame without motion.
     pub to: AshsplatHostImage,
 }
@@ -161,10 +161,10 @@ pub struct AshsplatSurfaceTarget {
     pub depth: u32,
     /// A storage image of format R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT. A texel is the mean of the Gaussians' normals, weighted
     /// as in blending, of unit length in the camera's frame (x right, y down, z forward), and the surface's depth z there, world
-    /// units. All are 0 where there is no surface, and the normal where normals cancel out. A Gaussian's normal is its shortest axis,
-    /// turned towards the camera. Halves have depths to 1 in 2000, below 65504. Fisheyes and panoramas have the distance from the
-    /// camera in place of z, all lenses at the Gaussian's mean, and rolling shutters the normals of the pose halfway. Its image is
-    /// never NULL: AshsplatRecordedFrame.surface is NULL in a frame without surfaces.
+    /// units. All are 0 without a surface, and the normal is 0 where normals cancel out. A Gaussian's normal is its shortest
+    /// axis, turned towards the camera. Halves store depths below 65504, to 1 in 2000. Fisheyes and panoramas have the
+    /// distance from the camera instead of z, all lenses that of the Gaussian's mean. Rolling shutters have the normals of
+    /// the pose halfway. Its image is never NULL: AshsplatRecordedFrame.surface is NULL in a frame without surfaces.
     pub to: AshsplatHostImage,
 }
 
@@ -184,19 +184,19 @@ pub struct AshsplatRecordedFrame {
     pub camera: *const AshsplatCamera,
     /// How to render, or NULL for the defaults.
     pub settings: *const AshsplatRenderSettings,
-    /// The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
+    /// The image that receives the colours, or NULL for the slot's own buffer (ashsplat_slot_pixels).
     pub target: *const AshsplatTarget,
     /// The host's depth image, which hides splats that are farther away, or NULL.
     pub occluder: *const AshsplatOccluder,
-    /// The image that expected depth is written to, or NULL.
+    /// The image that receives expected depth, or NULL.
     pub depth: *const AshsplatDepthTarget,
     /// Parameter updates before the frame.
     pub updates: *const AshsplatUpdate,
-    /// The image that what is picked is written to, or NULL: nothing is noted then.
+    /// The image that receives picks, or NULL: none are computed then.
     pub pick: *const AshsplatPickTarget,
-    /// The image that motion is written to, or NULL: then none is computed.
+    /// The image that receives motion, or NULL: none is computed then.
     pub motion: *const AshsplatMotionTarget,
-    /// The image that normals and depths of the surface are written to, or NULL: then none are computed.
+    /// The image that receives normals and depths of the surface, or NULL: none are computed then.
     pub surface: *const AshsplatSurfaceTarget,
 }
 
@@ -250,9 +250,9 @@ pub struct AshsplatSlotReport {
     pub struct_size: u32,
     /// True if the frame has finished. The other fields are valid only then.
     pub finished: bool,
-    /// True if more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
-    /// needed than there were. The picture then lacks the Gaussians farthest away, or all of them if `instances_needed` is
-    /// `UINT32_MAX`. ashsplat_reservation_grown makes room, but for the last case.
+    /// True if more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for
+    /// `blend_passes`) are needed than there were. The picture then lacks the Gaussians farthest away, or all of them if
+    /// `instances_needed` is `UINT32_MAX`. ashsplat_reservation_grown enlarges the reservation, except in the last case.
     pub overflow: bool,
     /// Gaussians in the frame's scenes, without those of scenes that are not drawn.
     pub gaussians: u32,
@@ -266,7 +266,7 @@ pub struct AshsplatSlotReport {
     pub longest_tile: u32,
     /// Passes of blending that the longest tile needs.
     pub blend_passes_needed: u32,
-    /// Time on the device, nanoseconds; 0 without timestamps. Of a recording of many views, of its first 255 stages.
+    /// Time on the device, nanoseconds; 0 without timestamps. With many views, only the recording's first 255 stages count.
     pub nanoseconds: f64,
     /// How often the recording sorts by depth: once for each view, or for each run of views that share it
     /// (AshsplatReservation.shared_sort).

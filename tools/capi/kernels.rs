@@ -6,8 +6,8 @@ use ashsplat::vk::KernelJob;
 /// The kernels of a reservation, to be built on threads of the host's choice.
 pub struct AshsplatKernels(Vec<KernelJob>);
 
-/// The kernels that ashsplat_renderer_new and ashsplat_reserve build, and their number. Once they are built, both build none.
-/// Free them with ashsplat_kernels_free.
+/// Lists the kernels that ashsplat_renderer_new and ashsplat_reserve build, with their number. Once they are built, these
+/// build none. Free the list with ashsplat_kernels_free.
 ///
 /// # Safety
 /// `context` and `wanted` are alive, `kernels` and `count` are valid for a write.
@@ -46,7 +46,7 @@ pub unsafe extern "C" fn ashsplat_kernels_build(
     })
 }
 
-/// Frees the list. What is built stays.
+/// Frees the list. Built kernels stay.
 ///
 /// # Safety
 /// `kernels` is NULL or of this library and not used afterwards.

@@ -49,7 +49,7 @@ pub struct AshsplatContext(Context);
 /// Gaussians on a device.
 pub struct AshsplatScene {
     scene: DeviceScene,
-    /// Notes of the file that it was read from.
+    /// Notes of the scene's file.
     told: Told,
 }
 
@@ -149,8 +149,8 @@ pub extern "C" fn ashsplat_last_error() -> *const c_char {
     LAST_ERROR.with(|last| last.borrow().as_ptr())
 }
 
-/// Returns what the file of this thread's last ashsplat_trainer_save cannot hold, a line each; empty where it holds all. The text is valid
-/// until the next.
+/// Lists what the file of this thread's last ashsplat_trainer_save cannot hold, one per line; empty if it holds everything.
+/// The text is valid until the next save.
 #[unsafe(no_mangle)]
 pub extern "C" fn ashsplat_last_loss() -> *const c_char {
     LAST_LOSS.with(|last| last.borrow().as_ptr())
@@ -196,7 +196,7 @@ pub unsafe extern "C" fn ashsplat_context_free(context: *mut AshsplatContext) {
 }
 
 /// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, SOG, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
-/// its name's ending select the format. ashsplat_scene_told has what the file says besides.
+/// its name's ending select the format. ashsplat_scene_told gives the file's notes.
 ///
 /// # Safety
 /// `context` is alive, `path` is a C string, `scene` is valid for a write.

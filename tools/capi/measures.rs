@@ -28,7 +28,7 @@ pub unsafe extern "C" fn ashsplat_lpips_new(
     })
 }
 
-/// Frees it.
+/// Frees a network.
 ///
 /// # Safety
 /// `lpips` is NULL or of this library and not used afterwards.
@@ -38,8 +38,8 @@ pub unsafe extern "C" fn ashsplat_lpips_free(lpips: *mut AshsplatLpips) {
     unsafe { take(lpips) }
 }
 
-/// Name of what ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of
-/// values from 0 to 1, as the reference implementation. The name lives as long as `lpips`.
+/// Name of the measure of ashsplat_lpips_distance: "lpips_alex" on values from -1 to 1, as in gsplat; or
+/// "lpips_vgg_unscaled" on values from 0 to 1, as in the reference implementation. The name lives as long as `lpips`.
 ///
 /// # Safety
 /// `lpips` is alive, `name` is valid for a write.

@@ -67,7 +67,7 @@ pub(super) unsafe fn put<T>(to: *mut T, what: &str, answer: T) -> Result<()> {
     Ok(())
 }
 
-/// Writes an answer, unless the host does not ask for it.
+/// Writes an answer, unless the host passes null.
 ///
 /// # Safety
 /// `to` is null or valid for a write.

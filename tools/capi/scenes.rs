@@ -50,8 +50,8 @@ pub struct AshsplatCutOut {
 pub struct AshsplatSceneSettings {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// True if it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
-    /// among its scenes, and the others keep their places.
+    /// True if it is drawn. An invisible scene takes no Gaussians of the reservation and no time on the device. It counts
+    /// among its scenes, and the others keep their indices.
     pub visible: bool,
     /// Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
     pub tint: [f32; 3],
@@ -63,11 +63,11 @@ pub struct AshsplatSceneSettings {
     pub cut_out_count: u32,
     /// Volumes that keep or remove Gaussians.
     pub cut_outs: *const AshsplatCutOut,
-    /// A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
-    /// STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL. It is destroyed after
-    /// ashsplat_slot_release of every slot that was recorded with it.
+    /// Mask of selected Gaussians, or NULL: bit i % 32 of word i / 32 for Gaussian i. The buffer has whole words for all
+    /// Gaussians and the usages STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST. It is destroyed after ashsplat_slot_release
+    /// of every slot that was recorded with it.
     pub selection: *const AshsplatHostBuffer,
-    /// The other colour, as trained, 0 to 65504 each.
+    /// Colour of selected Gaussians, as trained, 0 to 65504 each.
     pub selection_color: [f32; 3],
     /// Its share in the drawn colour, 0 to 1.
     pub selection_share: f32,
@@ -198,7 +198,7 @@ pub(super) unsafe fn updates<'b>(
     collected(all.enumerate().zip(copies).map(convert), scratch)
 }
 
-/// A cut-out whose pose is one in the world, for a scene that is placed there: `placed` needs no scene.
+/// Converts a cut-out with a pose in the world to the axes of a scene that is placed there: `placed` needs no scene.
 ///
 /// # Safety
 /// `cut_out` and `placed` are alive, `in_scene` is valid for a write; it may be `cut_out`.
@@ -274,7 +274,8 @@ unsafe fn uploaded(
 }
 
 /// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
-/// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not looked at:
+/// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not
+/// checked:
 /// Gaussians with a NaN, or an infinite position, size or quaternion, are not drawn. Quaternions are normalised.
 ///
 /// # Safety

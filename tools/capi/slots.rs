@@ -21,9 +21,9 @@ pub unsafe extern "C" fn ashsplat_reserve(
     })
 }
 
-/// Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-/// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay.
-/// The new reservation replaces the earlier one: a smaller one gives memory back.
+/// Same as ashsplat_reserve, but while frames are in flight, without waiting. Every slot changes to the new memory at its
+/// next recording, with images_only also at its release; until then both memories exist. The numbers of slots and of views
+/// stay. The new reservation replaces the earlier one: a smaller one gives memory back.
 ///
 /// # Safety
 /// `renderer` and `wanted` are alive.
@@ -38,7 +38,7 @@ pub unsafe extern "C" fn ashsplat_grow(
     })
 }
 
-/// The reservation with room for what a frame needed, in half as many instances again; the same if the frame fitted. For
+/// Enlarges a reservation to what a frame needed, with half as many instances again; unchanged if the frame fitted. For
 /// ashsplat_grow or ashsplat_reserve. `grown` may be `reservation`.
 ///
 /// # Safety
@@ -72,8 +72,8 @@ pub unsafe extern "C" fn ashsplat_reservation_bytes(
     })
 }
 
-/// Same as ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
-/// it there are, for each slot, 36 bytes for each view that the host can read, and `staging_bytes`.
+/// Same as ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's.
+/// Besides it, each slot takes 36 bytes for each view that the host can read, and `staging_bytes`.
 ///
 /// # Safety
 /// `renderer`, `wanted` and `block` are alive. The buffer is of the context's device, bound to memory, has the usages

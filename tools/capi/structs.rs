@@ -55,7 +55,7 @@ macro_rules! structs {
                 "padding at the end"
             );
 
-            // SAFETY: the type's definition shows it.
+            // SAFETY: the listed types have only such fields, `struct_size` first.
             unsafe impl Grows for $name {
                 const NAME: &'static str = stringify!($name);
                 const FIRST: usize = end::<$name, _>(offset_of!($name, $first), |it| &it.$first);

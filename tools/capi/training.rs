@@ -28,11 +28,11 @@ pub struct AshsplatTrainView {
     pub mask: *const u8,
     /// The inverse depth that pixels should have, row by row, 1 / world units; infinite where it is not known. NULL: none.
     pub inverse_depth: *const f32,
-    /// Sparse points that it shows, for the setting depth_points; not beside inverse_depth. Three floats each: where the photograph shows
-    /// it, pixels, x to the right and y down, the first pixel's centre at 0, 0; and 1 / z in the camera's frame, 1 / world units. May be
-    /// NULL.
+    /// Sparse points that the photograph shows, for the setting depth_points; not together with inverse_depth. Three floats
+    /// each: where the photograph shows it, pixels, x to the right and y down, the first pixel's centre at 0, 0; and 1 / z
+    /// in the camera's frame, 1 / world units. May be NULL.
     pub depth_points: *const f32,
-    /// Their number.
+    /// Number of depth points.
     pub depth_point_count: u32,
     /// Id of the camera that took the photograph. Views with the same id share lens effects.
     pub camera_id: u32,
@@ -54,7 +54,7 @@ pub struct AshsplatStep {
     /// The loss before it; NaN if the iteration was skipped, because its frame exceeds the largest possible
     /// capacity.
     pub loss: f32,
-    /// Gaussians in it.
+    /// Number of Gaussians.
     pub gaussians: u32,
     /// Gaussians visible in its view.
     pub visible: u32,
@@ -304,8 +304,9 @@ pub unsafe extern "C" fn ashsplat_trainer_new_from_points(
     })
 }
 
-/// Goes on from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never stopped. The
-/// other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is NULL after an error.
+/// Continues from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never
+/// stopped. The other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is
+/// NULL after an error.
 ///
 /// # Safety
 /// Same as for ashsplat_trainer_new; `path` is a C string.

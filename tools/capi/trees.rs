@@ -21,7 +21,7 @@ pub struct AshsplatTile {
     /// Error of the tile against the finest tiles, units of the scene. (error / size of a pixel)² is the sum of squared colour
     /// differences over the picture.
     pub error: f64,
-    /// The least corner of what it and the tiles below it reach, units of the scene.
+    /// Least corner of the bounds of the tile and its descendants, units of the scene.
     pub min: [f32; 3],
     /// The greatest corner.
     pub max: [f32; 3],
@@ -35,16 +35,16 @@ pub struct AshsplatDemand {
     pub struct_size: u32,
     /// Number of cameras, for example 2 for two eyes.
     pub camera_count: u32,
-    /// Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
+    /// The cameras. A tile is chosen if some camera sees it; its largest error in any picture decides.
     pub cameras: *const AshsplatCamera,
-    /// Gaussians of all tiles that are drawn, at most.
+    /// Most Gaussians of all drawn tiles.
     pub budget: u64,
     /// Border around each picture, in picture sizes, whose Gaussians are drawn too, so that a turning camera finds them. They are
     /// refined after those in the picture. 0: none.
     pub border: f64,
 }
 
-/// Reads the description of a tree, and no tile yet: `folder` has its tileset.json.
+/// Reads the description of a tree, but no tiles: `folder` has its tileset.json.
 ///
 /// # Safety
 /// `folder` is a C string, `tree` is valid for a write.
@@ -59,7 +59,7 @@ pub unsafe extern "C" fn ashsplat_tree_open(
     })
 }
 
-/// Frees it. What was read of it stays.
+/// Frees a tree. Tiles that were read stay.
 ///
 /// # Safety
 /// `tree` is NULL or of this library and not used afterwards.
@@ -149,10 +149,10 @@ unsafe fn chosen(
     })
 }
 
-/// The tiles that a demand wants to be loaded, in this order: those that ashsplat_tree_cut would draw, and those on the way to them. A
-/// tile comes after the one above it, and sooner where the error of that is larger in pixels. `possible` says of each tile of
-/// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be
-/// drawn beside or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
+/// The tiles to load for a demand, most urgent first: those that ashsplat_tree_cut would draw, and their ancestors. A tile
+/// follows its parent, and comes sooner if its parent's error is larger in pixels. `possible` has a value per tile, false if
+/// it cannot be loaded, for example because its file is damaged; NULL: all can. Tiles that could only be drawn beside or
+/// below such a tile are left out. `tiles` has room for as many numbers as the tree has tiles.
 ///
 /// # Safety
 /// `tree` is alive, `demand` begins with its size and has as many cameras as it says, `possible` is NULL or has one value per tile,
@@ -174,8 +174,8 @@ pub unsafe extern "C" fn ashsplat_tree_wanted(
 
 /// Tiles to draw, ascending: among those in `there`, the finest that the budget allows, refined first where the error in pixels is
 /// largest. While one of the tiles that would replace a tile is not there, the tile itself is drawn. `there` has a value for each
-/// tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing is drawn where it is not
-/// in the pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
+/// tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing is drawn if it
+/// is out of view or not there. `tiles` has room for as many numbers as the tree has tiles.
 ///
 /// # Safety
 /// Same as for ashsplat_tree_wanted.
@@ -192,7 +192,8 @@ pub unsafe extern "C" fn ashsplat_tree_cut(
     unsafe { chosen((tree, demand, there), (tiles, count), cut) }
 }
 
-/// Reads a tile's file: on a thread of the host's that may wait for a disk. Its Gaussians go to the device by AshsplatUpdate, in a frame.
+/// Reads a tile's file: call it on a thread that may wait for a disk. AshsplatUpdate copies the Gaussians to the device in a
+/// frame.
 ///
 /// # Safety
 /// `tree` is alive, `gaussians` is valid for a write.
@@ -254,7 +255,7 @@ pub unsafe extern "C" fn ashsplat_tile_told(
     })
 }
 
-/// Frees them, once the call that has recorded their update has returned.
+/// Frees a tile's Gaussians, once the call that has recorded their update has returned.
 ///
 /// # Safety
 /// `gaussians` is NULL or of this library and not used afterwards.

@@ -71,7 +71,7 @@ pub struct AshsplatCamera {
     pub shutter_shift: [f32; 3],
 }
 
-/// How a picture is read. Frames of cameras with a rolling shutter are reserved: AshsplatReservation.rolling_shutter.
+/// How a picture is read. Frames of cameras with a rolling shutter need AshsplatReservation.rolling_shutter.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatReadout {
@@ -87,14 +87,14 @@ pub enum AshsplatReadout {
     Left = 4,
 }
 
-/// How the directions of a camera reach its picture. Frames of cameras with a lens are reserved: AshsplatReservation.lens. (a, b)
-/// is (x, y)/z, or for fisheyes (x, y) theta/rho, s = a^2 + b^2, and T the tangential term of p1, p2.
+/// How the directions of a camera reach its picture. Frames of cameras with a lens need AshsplatReservation.lens. (a, b) is
+/// (x, y)/z, or for fisheyes (x, y) theta/rho, s = a^2 + b^2, and T the tangential term of p1, p2.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatProjection {
     /// Through one point: a pinhole.
     Perspective = 0,
-    /// In parallel, along the camera's z axis. Frames of such cameras are reserved: AshsplatReservation.orthographic.
+    /// In parallel, along the camera's z axis. Frames of such cameras need AshsplatReservation.orthographic.
     Orthographic = 1,
     /// (a, b) (1 + k1 s + k2 s^2 + k3 s^3 + n4 s^4) / (1 + k4 s + k5 s^2 + k6 s^3) + T: k1 k2 p1 p2 k3 k4 k5 k6 n4.
     Brown = 2,
@@ -160,7 +160,7 @@ pub struct AshsplatDepthMapping {
     pub offset: f32,
     /// See above.
     pub clear_value: f32,
-    /// True if z itself is linear in d: of an orthographic projection.
+    /// True if z itself is linear in d, as for an orthographic projection.
     pub linear: bool,
 }
 
@@ -192,10 +192,10 @@ pub struct AshsplatForeignDevice {
     pub device: *mut c_void,
     /// The family of the queues that recordings are submitted to.
     pub queue_family: u32,
-    /// VkQueue for functions that submit, or NULL. Without a queue a context records, and what has to submit is refused: rendering and
-    /// training always, uploads (ashsplat_scene_load, ashsplat_scene_new with Gaussians) on devices whose memory the host cannot write.
-    /// A scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
-    /// (ashsplat_scene_from_buffers).
+    /// VkQueue for functions that submit, or NULL. Without a queue a context only records, and functions that submit are
+    /// refused: rendering and training always, uploads (ashsplat_scene_load, ashsplat_scene_new with Gaussians) on devices
+    /// whose memory the host cannot write. A scene is then made empty (ashsplat_scene_new) and filled by recorded updates,
+    /// or is in the host's buffers (ashsplat_scene_from_buffers).
     pub queue: *mut c_void,
     /// The VkPhysicalDeviceVulkan12Features that the device was created with.
     pub vulkan12_features: *const c_void,
@@ -203,7 +203,7 @@ pub struct AshsplatForeignDevice {
     pub vulkan13_features: *const c_void,
     /// Names of the device extensions that were enabled.
     pub extensions: *const *const c_char,
-    /// How many.
+    /// Number of extensions.
     pub extension_count: u32,
     /// True if VK_EXT_debug_utils was enabled.
     pub debug_utils: bool,
@@ -212,19 +212,19 @@ pub struct AshsplatForeignDevice {
     pub allocator: *const AshsplatAllocator,
     /// A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
     pub pipeline_cache: u64,
-    /// Handed to both functions below.
+    /// The argument of both functions below.
     pub queue_user: *mut c_void,
-    /// Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this library
-    /// does. Taken from any thread, around each vkQueueSubmit2, and around a vkQueueWaitIdle after a wait has failed. A thread that
-    /// holds it calls nothing that submits. Recording never takes it.
+    /// Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this
+    /// library does. Called from any thread, around each vkQueueSubmit2, and around a vkQueueWaitIdle after a wait has
+    /// failed. A thread that holds the lock calls nothing that submits. Recording never takes it.
     pub lock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
-    /// Gives it back, on the same thread. NULL with `lock_queue`.
+    /// Releases the lock, on the same thread. NULL with `lock_queue`.
     pub unlock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
-    /// VkBool32: whether VK_KHR_shader_maximal_reconvergence is among `extensions` and its shaderMaximalReconvergence was
-    /// enabled. Kernels then ask the driver for it. 0 if not, or if not known.
+    /// VkBool32: true if VK_KHR_shader_maximal_reconvergence is among `extensions` and its shaderMaximalReconvergence was
+    /// enabled. Kernels then ask the driver for it. 0 if not, or if unknown.
     pub shader_maximal_reconvergence: u32,
-    /// VkBool32: the same for VK_KHR_shader_subgroup_uniform_control_flow and shaderSubgroupUniformControlFlow, for devices that do
-    /// not have the other one.
+    /// VkBool32: the same for VK_KHR_shader_subgroup_uniform_control_flow and shaderSubgroupUniformControlFlow, for devices
+    /// that lack the other one.
     pub shader_subgroup_uniform_control_flow: u32,
 }
 
@@ -242,13 +242,13 @@ pub struct AshsplatForeignImage {
     pub width: u32,
     /// Height of the mip level, pixels.
     pub height: u32,
-    /// Which mip level.
+    /// Index of the mip level.
     pub mip_level: u32,
-    /// Which layer.
+    /// Index of the layer.
     pub layer: u32,
-    /// VkImageCreateFlags. Of a target in another format than R8G8B8A8_UNORM and the two float formats of 16 and 32 bits, they
-    /// have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
-    /// channel are seen as R8G8B8A8_UNORM, A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs none.
+    /// VkImageCreateFlags. A target needs MUTABLE_FORMAT in formats other than R8G8B8A8_UNORM and the floats of 16 and 32
+    /// bits; also EXTENDED_USAGE if the device has no storage images of the format. 8 bits per channel are viewed as
+    /// R8G8B8A8_UNORM; A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs no flags.
     pub flags: u32,
     /// VkSampleCountFlagBits: 1. Images of more samples are refused: resolve them into one of one sample.
     pub samples: u32,
@@ -268,7 +268,7 @@ pub enum AshsplatImageUse {
     Occluder = 1,
     /// The expected depth is written into it. R32_SFLOAT.
     Depth = 2,
-    /// The Gaussian seen at each pixel is written into it. R32G32B32A32_UINT.
+    /// The Gaussian picked at each pixel is written into it. R32G32B32A32_UINT.
     Pick = 3,
     /// The motion of each pixel is written into it. R16G16_SFLOAT.
     Motion = 4,
@@ -336,9 +336,9 @@ pub struct AshsplatReservation {
     pub expected_depth: bool,
     /// True if all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
     pub images_only: bool,
-    /// Queues that frames are submitted to. What lives only while a frame is computed exists once for each
-    /// queue: slots share it whose slot % queues is the same. Their frames go to one queue, in
-    /// any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
+    /// Number of queues that frames are submitted to. Memory that only a running frame needs exists once for each queue:
+    /// slots with the same slot % queues share it. Their frames go to one queue, in any order, or are ordered by semaphores.
+    /// With as many queues as slots nothing is shared.
     pub queues: u32,
     /// True if scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
     pub tint: bool,
@@ -352,7 +352,7 @@ pub struct AshsplatReservation {
     pub motion: bool,
     /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
     pub staging_bytes: u64,
-    /// Views of a recording (ashsplat_record_views), which share the memory of one; 0 is as 1.
+    /// Views of a recording (ashsplat_record_views), which share the memory of one; 0 means 1.
     pub views: u32,
     /// Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 256 bytes for each
     /// scene and view, and more kernels.
@@ -410,7 +410,7 @@ impl AshsplatReservation {
 pub struct AshsplatGaussians {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// How many.
+    /// Number of Gaussians.
     pub count: u32,
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u32,
@@ -490,8 +490,8 @@ pub struct AshsplatPlaced {
     pub scale: f32,
     /// How it is drawn, or NULL: as it is.
     pub settings: *const AshsplatSceneSettings,
-    /// Its pose in the frame before, for AshsplatRecordedFrame.motion. NULL: the same as now, for scenes that stand still and
-    /// for those that were not there.
+    /// Its pose in the previous frame, for AshsplatRecordedFrame.motion. NULL: the same as now, for scenes that stand still
+    /// and for new ones.
     pub previous_pose: *const AshsplatPose,
 }
 
@@ -580,13 +580,13 @@ pub struct AshsplatRenderSettings {
     pub inverse_depth: bool,
     /// Factor of all scales: 1 for the scene as it is.
     pub scale_modifier: f32,
-    /// The low-pass filter: variance that the projection adds along both axes, square pixels. 0 is as 0.3, the reference's;
-    /// Mip-Splatting has 0.1.
+    /// The low-pass filter: variance that the projection adds along both axes, square pixels. 0 means 0.3, as in the
+    /// reference implementation; Mip-Splatting uses 0.1.
     pub kernel_size: f32,
     /// Not 0: gradients take the compensation of `antialias` as a constant.
     pub antialias_detached: u32,
-    /// Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames of such
-    /// settings are reserved: AshsplatReservation.filter_3d.
+    /// Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames
+    /// with it need AshsplatReservation.filter_3d.
     pub filter_3d: u32,
 }
 

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 const GRID: u32 = 3;
 /// Half-width of the sun, as seen from the scene (radians): soft shadows.
 const SUN_RADIUS: f32 = 0.06;
-/// Distance up to which a hit is the surface that the ray starts on.
+/// Hits nearer than this are on the surface where the ray starts.
 const SKIN: f32 = 1e-3;
 
 /// Where a ray first meets the scene.

@@ -1,4 +1,4 @@
-// The texture under a lamp and some light from everywhere, in linear light.
+// The texture under a lamp and ambient light, in linear light.
 #version 460
 layout(set = 0, binding = 0) uniform sampler2D image;
 layout(location = 0) in vec2 uv;

@@ -35,7 +35,8 @@ pub struct Picture {
     pub reversed_depth: bool,
     /// True if a second scene is drawn.
     pub second: bool,
-    /// Encoding that the guest writes. The host lights and blends in linear light: any other encoding washes splats out.
+    /// Encoding that the guest writes. The host lights and blends in linear light; any other encoding makes splats look
+    /// washed out.
     pub encoding: ColorEncoding,
 }
 
@@ -133,7 +134,7 @@ impl Engine {
         let color = release.color.map(uses).ok_or("the frame has a target")?;
         let depth = release.occluder.map(uses).ok_or("the frame has a depth")?;
         let expected = release.depth.map(uses).ok_or("the frame has an expected depth")?;
-        // From here on, splats hide what is drawn too.
+        // From here on, splats also hide later passes.
         let images = [&self.expected, &self.depth];
         let [_, depth] = self.splat_depth.record(host, commands, images, [expected, depth], &mapping);
         let images = [&self.color, &self.display];
@@ -246,7 +247,7 @@ impl Guest {
         let (to, behind) = (used(&self.color, COLOR_WRITTEN), Background::Image);
         let target = Target::Image { to, behind, encoding: picture.encoding };
         let occluder = Some(Occluder { depth: used(&self.depth, DEPTH_WRITTEN), mapping });
-        // The previous frame's depth pass has read it.
+        // The previous frame's depth pass has sampled it.
         let to = used(&self.expected, (UNUSED.0, SAMPLED.1, SAMPLED.2));
         let depth = Some(DepthTarget { to, min_weight: 0.5, empty: EMPTY });
         let frame =
@@ -280,7 +281,7 @@ pub fn pictures(folder: &Path, options: &HostOptions) -> Result<Vec<String>> {
 fn draw(host: &Host, folder: &Path) -> Result<Vec<String>> {
     let mut engine = Engine::new(host)?;
     let report = engine.pictures(host, folder);
-    // Also after a failure: the guest and its images may go only when the device is idle.
+    // Waits even after a failure, because the guest and its images may be dropped only when the device is idle.
     host.wait()?;
     engine.destroy(host);
     report

@@ -69,7 +69,7 @@ impl Host {
             let entry = ash::Entry::load()?;
             let instance = create_instance(&entry, options.validation)?;
             let messages = options.validation.then(|| Messages::new(&entry, &instance)).transpose()?;
-            // The first device that is not a processor, else the first.
+            // Chooses the first device that is not a processor, else the first.
             let is_cpu = |device: &vk::PhysicalDevice| {
                 instance.get_physical_device_properties(*device).device_type == vk::PhysicalDeviceType::CPU
             };

@@ -17,7 +17,7 @@ pub const DEPTH_WRITTEN: Use = (
     vk::PipelineStageFlags2::LATE_FRAGMENT_TESTS,
     vk::AccessFlags2::DEPTH_STENCIL_ATTACHMENT_WRITE,
 );
-/// The image is unused so far.
+/// Use of an image without contents.
 pub const UNUSED: Use = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
 pub const SAMPLED: Use = (
     vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,

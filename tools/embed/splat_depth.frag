@@ -10,7 +10,7 @@ layout(push_constant) uniform Push {
     uint linear;
     // DepthTarget::empty.
     float empty;
-    // DepthMapping::clear_value: nothing is nearer than what has it.
+    // DepthMapping::clear_value: a depth that no surface exceeds.
     float clear_value;
 };
 

@@ -134,7 +134,7 @@ unsafe fn bytes<'a>(data: *const c_void, size: impl Into<u64>) -> &'a [u8] {
     unsafe { std::slice::from_raw_parts(data.cast(), size.into() as usize) }
 }
 
-/// No transfer between families of the machine; a transfer from or to foreign families stays.
+/// Ignores transfers between families of the machine; transfers from or to foreign families stay.
 fn mapped(from: u32, to: u32) -> (u32, u32) {
     let outside = |family| family >= vk::QUEUE_FAMILY_FOREIGN_EXT;
     if from == to || !(outside(from) || outside(to)) {
@@ -144,7 +144,7 @@ fn mapped(from: u32, to: u32) -> (u32, u32) {
     (real(from), real(to))
 }
 
-/// Copies barriers with the driver's families.
+/// Copies barriers, with the driver's families.
 macro_rules! remapped {
     ($barriers:expr, $count:expr) => {{
         let barriers = slice($barriers, $count).iter().map(|barrier| {

@@ -82,8 +82,8 @@ fn allow(state: &DeviceState, requirements: &mut vk::MemoryRequirements) {
     requirements.memory_type_bits = (requirements.memory_type_bits & 1) * state.machine.type_bits();
 }
 
-/// Defines queries of memory requirements. A row has the function's name, what the caller asks about, what it gets, the driver's
-/// function, and the requirements' place in what that writes.
+/// Defines queries of memory requirements. A row has the function's name, the types of its input and output, the driver's
+/// function, and the output's field with the requirements.
 macro_rules! requirements {
     ($($name:ident($asked:ty) -> $written:ty, $version:ident.$next:ident, $($place:ident)?;)*) => {$(
         pub unsafe extern "system" fn $name(device: vk::Device, asked: $asked, written: *mut $written) {
@@ -108,15 +108,15 @@ requirements! {
         v11.get_image_memory_requirements2, memory_requirements;
 }
 
-/// Exclusive to one family at a time: the driver has only one.
+/// Makes a resource exclusive to one family, because the driver has only one.
 macro_rules! exclusive {
     ($info:expr) => {
         $info.sharing_mode(vk::SharingMode::EXCLUSIVE).queue_family_indices(&[])
     };
 }
 
-/// Defines the creation of a resource, and the query about one that does not exist yet. A row has the two functions' names, the
-/// descriptions, and the driver's functions.
+/// Defines functions that create a resource, and queries about one that does not exist yet. A row has the names of both
+/// functions, their descriptions, and the driver's functions.
 macro_rules! resources {
     ($($create:ident($info:ident) -> $object:ident, $query:ident($asked:ident), $next:ident;)*) => {$(
         pub unsafe extern "system" fn $create(

@@ -255,7 +255,7 @@ pub unsafe extern "system" fn wait_for_fences(
 passed_on! {
     fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result,
         v10.get_fence_status, |state| state.ask(Want::Fence(fence));
-    // The layer does not know which submission sets the event.
+    // The layer does not know which submission sets the event, so it starts all.
     event_status(device: vk::Device, event: vk::Event) -> vk::Result,
         v10.get_event_status, |state| state.ask(Want::All);
     destroy_semaphore(device: vk::Device, semaphore: vk::Semaphore, callbacks: Callbacks<'_>),
@@ -331,7 +331,7 @@ pub unsafe extern "system" fn wait_semaphores(
     state.wait(&wants, || unsafe { (state.v12.wait_semaphores)(device, info, timeout) })
 }
 
-/// Defines functions of a queue that the driver's queue gets in its place, under the lock.
+/// Defines functions of a queue that pass the driver's queue on instead, under the lock.
 macro_rules! of_drivers_queue {
     ($($name:ident($($argument:ident: $kind:ty)?), $next:ident;)*) => {$(
         pub unsafe extern "system" fn $name(queue: vk::Queue $(, $argument: $kind)?) {

@@ -1,4 +1,4 @@
-//! State of instances and devices, and what all functions of the layer need of their arguments.
+//! State of instances and devices, and helpers for the arguments of the layer's functions.
 
 use super::held::Submissions;
 use super::machine::Machine;

@@ -46,10 +46,10 @@ pub struct Appearances {
 }
 
 impl Appearances {
-    /// Reads what a training has left in its model folder; empty where it was not learned.
+    /// Reads what a training has left in its model folder; empty if nothing was learned.
     ///
     /// # Errors
-    /// Names a file that has another content.
+    /// Names a file with other content.
     pub fn read(folder: &Path) -> Result<Appearances> {
         let [exposures, lenses] = [folder.join(EXPOSURE_FILE), folder.join(LENS_FILE)];
         Ok(Appearances {

@@ -8,7 +8,7 @@ use ashsplat_files::splats::ReadOptions;
 use ashsplat_files::{HostMemory, quoted};
 use clap::Args;
 
-/// Which device, and how closely it is watched.
+/// Device options that all commands share.
 #[derive(Args, Clone, Default)]
 pub struct DeviceArguments {
     /// Vulkan device: its number in `ashsplat devices` or a part of its name [default: $ASHSPLAT_DEVICE, else the best]
@@ -17,8 +17,8 @@ pub struct DeviceArguments {
     /// Run under the Khronos validation layer, with synchronisation validation; its messages go to stderr
     #[arg(long)]
     pub validation: bool,
-    /// Most device memory to use, with a unit: 800M, 6G; what needs more is refused, and a training adds no Gaussians beyond it
-    /// [default: what the device has]
+    /// Most device memory to use, with a unit: 800M, 6G; work that needs more is refused, and a training adds no Gaussians
+    /// beyond it [default: what the device has]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_memory: Option<u64>,
     /// Invocations of a subgroup, where the device lets them be chosen [default: by a table, else the device's own]
@@ -32,11 +32,11 @@ pub struct DeviceArguments {
     pub host: HostArguments,
 }
 
-/// How much memory of the machine itself is used.
+/// Budget of the machine's own memory.
 #[derive(Args, Clone, Copy, Default)]
 pub struct HostArguments {
-    /// Most memory of the machine for reading a file, and for photos while they are decoded or kept, with a unit: 800M, 6G; what needs
-    /// more is refused before it is read [default: three quarters of what is free]
+    /// Most host memory for reading a file, and for photos while they are decoded or kept, with a unit: 800M, 6G; work that
+    /// needs more is refused beforehand [default: three quarters of what is free]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_host_memory: Option<u64>,
 }

@@ -59,7 +59,7 @@ pub struct DatasetOfBlocks {
     pub undistort: bool,
     /// Use of the photos' alpha channels.
     pub alpha: String,
-    /// The turn of the coarse model's data set.
+    /// Turn of the coarse model's data set.
     pub level: String,
     pub eval: bool,
 }
@@ -251,7 +251,7 @@ impl Division {
         ]
     }
 
-    /// Refuses an invalid division, such as one with a mistake of an editor.
+    /// Refuses an invalid division, such as one with an editing mistake.
     fn check(&self) -> Result<(), String> {
         let numbered = self.blocks.iter().zip(1..).all(|(block, number)| block.number == number);
         let folders: BTreeSet<&Path> = self.blocks.iter().map(|block| block.folder.as_path()).collect();

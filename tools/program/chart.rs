@@ -95,7 +95,6 @@ impl Chart {
         }
     }
 
-    /// Draws a line through points.
     pub fn line(&self, out: &mut String, points: &[(f64, f64)], style: &str, title: &str) {
         let (points, title) = (self.places(points.iter().copied()), escape(title));
         let _ = writeln!(
@@ -113,7 +112,6 @@ impl Chart {
         }
     }
 
-    /// Draws a dot.
     pub fn dot(&self, out: &mut String, point: (f64, f64), radius: f64, color: &str) {
         let [x, y] = self.at(point);
         let _ = writeln!(out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{color}\"/>");

@@ -103,8 +103,7 @@ impl Given {
         Ok(Given { file: file.map(Path::to_owned), of_file, of_job, of_line })
     }
 
-    /// Settles and checks all settings: the command line wins over the job, that over the file, and that over the
-    /// defaults.
+    /// Settles and checks all settings. Precedence: command line, job, file, defaults.
     pub fn settle(&self, facts: &Facts) -> Result<Settings> {
         let sources = [&self.of_file, &self.of_job, &self.of_line].into_iter().flatten();
         let all = sources.map(|(key, value)| (key.clone(), value.clone())).collect();
@@ -131,7 +130,7 @@ impl Given {
     }
 }
 
-/// Names of the settings in which a preset differs from its strategy, and that of the strategy.
+/// Names of the settings in which a preset differs from its strategy, and `strategy` itself.
 fn set_by_presets() -> impl Iterator<Item = &'static str> {
     let usual = TrainSettings::of_strategy(StrategyType::Budget);
     let presets = [Preset::Fast, Preset::Default, Preset::Quality].map(TrainSettings::of_preset);

@@ -280,7 +280,7 @@ pub fn by_name(cameras: Vec<NamedCamera>) -> HashMap<String, Camera> {
     cameras.into_iter().map(|NamedCamera { name, camera }| (name, camera)).collect()
 }
 
-/// A view with the pose of its camera in `cameras`, if it has one, and if lenses are optimised with the lens.
+/// The view at the pose that `cameras` has for it, if any; with `lens_opt`, also with its optimised lens.
 pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>, lens_opt: bool) -> View {
     match cameras.get(&view.name) {
         None => view,
@@ -296,7 +296,7 @@ pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>, lens_opt: boo
     }
 }
 
-/// A camera whose lens changes as that of the same camera at another size does, from `before` to `after`.
+/// Changes a camera's lens from `before` to `after`, which are the same camera at another size.
 pub fn with_changed_lens(camera: &Camera, before: &Camera, after: &Camera) -> Camera {
     let lens = |camera: &Camera| {
         ([camera.fx, camera.fy, camera.cx, camera.cy], camera.coefficients, camera.projection)
@@ -316,7 +316,7 @@ pub fn with_changed_lens(camera: &Camera, before: &Camera, after: &Camera) -> Ca
     }
 }
 
-/// The default measures whole views without exposure and lens effects.
+/// How views are compared. By default, whole views without exposure and lens effects.
 #[derive(Default)]
 pub struct Protocol {
     /// Exposures of the training photos, and lens effects of all photos.

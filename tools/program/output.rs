@@ -91,7 +91,7 @@ pub fn check_apart(results: &[(&'static str, Option<&Path>)], inputs: &[PathBuf]
     Ok(())
 }
 
-/// A unique name for a file; an error if it cannot be written.
+/// The absolute path of a file, for comparison; an error if the file cannot be written.
 fn checked_file(path: &Path) -> Result<PathBuf> {
     match path.metadata() {
         Ok(found) if found.is_dir() => return Err(Error::input(path, "is a folder", "give a file's name")),
@@ -294,11 +294,11 @@ pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth, 
 /// The depth of a pixel where Gaussians of depths z were blended with weights w.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Depth {
-    /// Σ w z / Σ w, the expected depth, as images of a `DepthTarget` and gsplat have it
+    /// Σ w z / Σ w, the expected depth, as in gsplat and in images of a `DepthTarget`
     Mean,
-    /// Σ w / Σ (w / z), whose reciprocal training compares with depth maps: what lies far behind a surface hardly moves it
+    /// Σ w / Σ (w / z), whose reciprocal training compares with depth maps; Gaussians far behind a surface hardly change it
     Harmonic,
-    /// z of the Gaussian behind which less than half of the light is left; infinite where more is left
+    /// z of the Gaussian at which transmittance falls below one half; infinite if it never does
     Median,
 }
 

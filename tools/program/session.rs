@@ -23,7 +23,7 @@ pub struct DataArguments {
     /// Folder of the photos within the data set [default: as in training, else images]
     #[arg(short, long, value_name = "NAME")]
     images: Option<String>,
-    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: as in
+    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 reduces wider photos to 1600 [default: as in
     /// training, else -1]
     #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     resolution: Option<i32>,

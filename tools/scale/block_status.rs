@@ -26,8 +26,8 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Gaussians at a block's end for each at its start, from which --json computes its `memory_bytes`; --strategy budget makes 10
-    /// at most
+    /// Factor by which a block's Gaussians grow during training, for the `memory_bytes` of --json; at most 10 with
+    /// --strategy budget
     #[arg(long, value_name = "X", default_value_t = 10.0, requires = "json")]
     growth: f64,
     #[command(flatten)]

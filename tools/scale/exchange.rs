@@ -27,7 +27,7 @@ pub struct Arguments {
     /// The file that `ashsplat partition` wrote
     #[arg(value_name = "BLOCKS.json")]
     blocks: PathBuf,
-    /// The round that all blocks have come to the end of [default: that of the block that is farthest]
+    /// The round that all blocks have completed [default: that of the most advanced block]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     round: Option<u32>,
     #[command(flatten)]

@@ -18,9 +18,9 @@ use std::path::{Path, PathBuf};
 
 /// Merge the trained blocks of `ashsplat partition` into one scene.
 ///
-/// The scene has the Gaussians of each block with centres in its cell, so that none is lost or doubled. Blocks are read one after
-/// another: the memory needed does not depend on their number, but for .compressed.ply, which is sorted. A block that is missing,
-/// damaged or of another division is named before anything is written.
+/// The scene has the Gaussians of each block with centres in its cell, so that none is lost or doubled. Blocks are read one
+/// after another, so memory does not depend on their number, except for .compressed.ply, which is sorted. A block that is
+/// missing, damaged or of another division is named before anything is written.
 #[derive(Args)]
 #[command(
     mut_arg("device", |argument| argument.requires("report")),
@@ -40,7 +40,7 @@ pub struct Arguments {
     /// seam, and a JSON beside it; needs the memory of the scene
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
-    /// A model to be measured beside the merged scene: one that was trained as a whole, say
+    /// Another model to measure beside the merged scene, such as one that was trained as a whole
     #[arg(long, value_name = "MODEL", requires = "report")]
     against: Option<PathBuf>,
     /// Drop the Gaussians whose parameters are not finite, instead of refusing their block
@@ -55,7 +55,8 @@ pub struct Arguments {
 
 const WORK: Work = Work { file: ".merge.lock", what: "merge", option: "-o" };
 
-/// Path of the report's JSON: quality/page.html.json, so that a page beside blocks.json may have its name.
+/// Path of the report's JSON, such as quality/page.html.json. It keeps .html, so that a report blocks.html does not replace
+/// blocks.json.
 fn results_beside(page: &Path) -> PathBuf {
     let mut name = page.as_os_str().to_owned();
     name.push(".json");

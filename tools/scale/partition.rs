@@ -29,8 +29,8 @@ use std::path::{Path, PathBuf};
 ///
 /// The cells are those of a k-d tree over the coarse model's Gaussians: halved at the median of the longest axis until none
 /// has more than --max-gaussians. Together they cover all space, and each place is in exactly one. A block is trained on the
-/// photos of which its cell covers --min-share: by the depths of the coarse model, which is drawn once per photo. A photo that
-/// shows no cell so much goes to the one that it shows most of. The same input gives the same file.
+/// photos of which its cell covers --min-share, by the depths of the coarse model, which is drawn once per photo. A photo
+/// without such a cell is used for the cell that covers most of it. The same input gives the same file.
 #[derive(Args)]
 pub struct Arguments {
     /// Data set [default: that of the coarse model's training]
@@ -45,8 +45,8 @@ pub struct Arguments {
     /// The new file
     #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
     out: PathBuf,
-    /// How far around its cell a block trains Gaussians too, in the data set's units [default: 0.15 of the usual cell's longest
-    /// side; in rounds 0.05, but of a single object 0.15]
+    /// Width of the margin around its cell in which a block also trains Gaussians, in the data set's units [default: 0.15 of
+    /// the usual cell's longest side; in rounds 0.05, except for a single object]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
     /// Use only the part of each photo that shows the block and its margin; auto: on, but off for a single object, where the average
@@ -56,12 +56,12 @@ pub struct Arguments {
     /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1
     #[arg(long, value_name = "X", default_value_t = 0.02)]
     min_share: f64,
-    /// Iterations that training the whole scene would take: a block has its photos' share of them, so that each photo is looked
-    /// at as often
+    /// Iterations that training the whole scene would take: a block gets its photos' share of them, so that each photo is
+    /// used equally often
     #[arg(long, value_name = "N", default_value_t = 30_000, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
-    /// Train in N rounds, with `ashsplat exchange` between two: a block's margin and what it sees around it are then what the
-    /// neighbours have trained there, not the coarse model; better seams
+    /// Train in N rounds, with `ashsplat exchange` between them: a block's margin and surroundings then come from its
+    /// trained neighbours instead of the coarse model, which improves the seams
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=MAX_ROUNDS.into()))]
     rounds: u32,
     #[command(flatten)]

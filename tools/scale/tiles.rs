@@ -18,9 +18,9 @@ use std::path::PathBuf;
 
 /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB.
 ///
-/// Tiles that are far away are drawn by fewer Gaussians, merged of the others. How much a tile's picture differs from that of the finer
-/// ones is measured by rendering both, and is its geometric error: its screen-space error is the root of the squared difference, summed
-/// over the pixels that the tile covers.
+/// Distant tiles are drawn with fewer Gaussians, merged from the others. A tile's geometric error is the difference between
+/// its picture and that of its finer tiles, measured by rendering both: its screen-space error is the root of the squared
+/// difference, summed over the pixels that the tile covers.
 #[derive(Args)]
 pub struct Arguments {
     /// A file of Gaussians or a model folder
@@ -32,8 +32,8 @@ pub struct Arguments {
     /// Gaussians of a tile, at most
     #[arg(long, value_name = "N", default_value_t = TileOptions::default().most, value_parser = most)]
     max_gaussians: usize,
-    /// Pack the tiles' attributes as SPZ version 2 (KHR_gaussian_splatting_compression_spz_2): smaller, less exact, and all that CesiumJS
-    /// reads
+    /// Pack the tiles' attributes as SPZ version 2 (KHR_gaussian_splatting_compression_spz_2): smaller, less exact, and the
+    /// only form that CesiumJS reads
     #[arg(long)]
     spz: bool,
     /// Drop the Gaussians whose parameters are not finite, instead of refusing them

@@ -65,7 +65,7 @@ impl Page {
         Ok(page)
     }
 
-    /// Its connection, to send what no page would.
+    /// The connection, for messages that no page would send.
     pub fn stream(&self) -> Result<TcpStream> {
         Ok(self.socket.get_ref().try_clone()?)
     }

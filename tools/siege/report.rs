@@ -24,7 +24,6 @@ const LONGEST: Duration = Duration::from_secs(600);
 /// Exit code if the siege could not begin.
 const FAILURE: u8 = 2;
 
-/// Runs the command.
 pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
     let siege = match begin(arguments.short) {

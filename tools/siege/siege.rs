@@ -20,7 +20,6 @@ macro_rules! ensure {
 }
 pub(crate) use ensure;
 
-/// See the module.
 pub struct Siege {
     pub program: PathBuf,
     /// True if the siege should be short.

@@ -71,7 +71,6 @@ pub fn result_of(model: &Path) -> PathBuf {
 }
 
 impl Training {
-    /// Starts a training.
     pub fn start(siege: &Siege, limits: &Limits) -> Result<Training> {
         // Runs first, so that its memory does not count for the attacked training.
         undisturbed(siege)?;

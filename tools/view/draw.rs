@@ -32,7 +32,7 @@ pub struct Audience<'a> {
     pub is_there: &'a dyn Fn(&Viewer) -> bool,
 }
 
-/// Problem of an edit that nothing can take.
+/// Error for edits of a scene that cannot be edited.
 pub const NOT_EDITED: &str =
     "only a scene that is loaded whole can be edited, no training and no tree of tiles";
 

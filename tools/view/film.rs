@@ -104,7 +104,6 @@ impl Film {
     }
 }
 
-/// The cameras of all frames.
 fn cameras(request: &FilmRequest) -> Result<Vec<Camera>> {
     let bad = |problem: &str| Err(Error::argument("film", problem));
     let FilmRequest { keys, seconds, frames_per_second, closed, width, height, .. } = request;

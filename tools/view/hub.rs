@@ -162,7 +162,6 @@ impl Hub {
         })
     }
 
-    /// Removes a page.
     pub fn leave(&self, client: u64) {
         self.change(|state| {
             state.clients.remove(&client);
@@ -170,7 +169,6 @@ impl Hub {
         });
     }
 
-    /// Number of connected pages.
     pub fn pages(&self) -> usize {
         self.lock().clients.len()
     }
@@ -239,14 +237,12 @@ impl Hub {
         self.lock().actions.drain(..).collect()
     }
 
-    /// Sends to one page.
     pub fn send(&self, client: u64, message: ToPage) {
         if let Some(client) = self.lock().clients.get(&client) {
             client.out.put(message);
         }
     }
 
-    /// Sends to all pages.
     pub fn broadcast(&self, message: &ToPage) {
         for client in self.lock().clients.values() {
             client.out.put(message.clone());

@@ -69,15 +69,15 @@ pub struct Arguments {
     path: Option<PathBuf>,
     #[command(flatten)]
     scene: SceneArguments,
-    /// Up in the pictures [default: as the cameras have it, without any 0,-1,0]
+    /// Up direction [default: that of the cameras; without cameras 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]
     up: Option<Vec3>,
     #[command(flatten)]
     serve: ServeArguments,
-    /// In a window on this machine's screen instead of a page
+    /// Open a window on this machine's screen instead of serving a page
     #[arg(long, conflicts_with_all = ["host", "port", "token", "allow_origin"])]
     window: bool,
-    /// Frames of the window are shown as fast as they come, not in step with the screen
+    /// Show the window's frames as soon as they are ready, without waiting for the screen's refresh
     #[arg(long, requires = "window")]
     no_vsync: bool,
     /// Folder for camera paths, films and the window's screenshots [default: out/view]
@@ -151,7 +151,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     })
 }
 
-/// The viewer's scenes, from the first to the last.
+/// Opens and shows the viewer's scenes, one after another.
 struct Stage<'a> {
     arguments: &'a Arguments,
     openings: Option<Arc<Openings>>,
@@ -227,7 +227,7 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// A scene beside those that are open.
+    /// Adds a scene to those that are open.
     fn joined(&self, subject: Subject, mut shown: Shown, scenery: &Scenery) -> Result<Subject> {
         let name = &subject.name;
         if subject.tree.is_some() || scenery.tree().is_some() {
@@ -246,7 +246,7 @@ impl<'a> Stage<'a> {
         Ok(Subject { joined: Some(self.hub.run()), ..subject.beside(shown, all) })
     }
 
-    /// Shows a scene. If it does not fit, those that it joins are shown again, or nothing.
+    /// Shows a scene. If it does not fit, the scenes that were open before are shown again, if any.
     fn show(
         &self,
         subject: Subject,

@@ -23,7 +23,7 @@ pub struct Openings {
     /// Largest file that a page may send, bytes.
     pub most_bytes: u64,
     turn: Arc<Semaphore>,
-    /// For the one list that is made at a time.
+    /// Held while paths are listed, so that only one list is made at a time.
     pub listing: Arc<Semaphore>,
     request: Mutex<Option<OpenRequest>>,
 }
@@ -45,7 +45,7 @@ pub struct OpenRequest {
 }
 
 impl OpenRequest {
-    /// Folder of a file that a page has sent or named: pages see paths in it without it.
+    /// Folder of a file that a page has sent or named. Messages to pages show paths without it.
     pub fn room(&self) -> Option<String> {
         let folder = self.upload.as_ref().map(TempDir::path).or(self.within.as_deref())?;
         Some(format!("{}{}", folder.display(), std::path::MAIN_SEPARATOR))
@@ -92,8 +92,8 @@ impl Openings {
         found.map(|path| (path, folder.as_path())).ok_or_else(missing)
     }
 
-    /// `paths` that begin like this: folders, with a `/` at the end, and files that one format reads. Sorted, [`MOST_LISTED`] at most;
-    /// `more` is true if there may be others.
+    /// Lists the paths that start with `begin`: folders with a `/` at the end, and files of formats with one file per scene.
+    /// They are sorted and at most [`MOST_LISTED`]; `more` is true if there may be others.
     pub fn list(&self, begin: &str) -> Value {
         let (prefix, name) = begin.split_at(begin.rfind('/').map_or(0, |slash| slash + 1));
         let Ok((folder, _)) = self.find(prefix) else { return json!({ "paths": [], "more": false }) };
@@ -134,12 +134,12 @@ fn is_single_file(format: &Format) -> bool {
     *format != Format::Gltf
 }
 
-/// The endings of those formats of which a scene is one file.
+/// Extensions of those formats whose scenes are single files.
 pub fn single_files(formats: &[Format]) -> Vec<&'static str> {
     formats.iter().filter(|format| is_single_file(format)).map(|format| format.extension()).collect()
 }
 
-/// The format that a file's name says, if a scene in it is one file.
+/// The format of a file by its name, if a scene in this format is one file.
 pub fn format_of(name: &str) -> Option<Format> {
     Format::of_extension(name).ok().filter(is_single_file)
 }

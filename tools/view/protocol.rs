@@ -329,7 +329,8 @@ impl ToPage {
     }
 }
 
-/// Answers a pick. `depth` is where half of the light is blocked, and `point` the place there, or none if too little is.
+/// Answers a pick. `depth` is where half of the blocked light is blocked, `point` the position there; none if too little is
+/// blocked.
 pub fn picked(id: u64, pixel: [u32; 2], camera: &Camera, report: &PixelReport) -> Value {
     let depth = pivot_depth(report);
     json!({

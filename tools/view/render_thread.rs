@@ -39,7 +39,7 @@ pub struct RenderThread {
     sizes: Sizes,
     /// Finished films being encoded, each on its own thread: neither frames nor training wait for them.
     assembling: Vec<JoinHandle<()>>,
-    /// True if no page needs these any more.
+    /// Tells these threads that no page needs their films any more.
     abandoned: Arc<AtomicBool>,
 }
 

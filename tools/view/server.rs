@@ -40,7 +40,8 @@ pub struct ServeArguments {
     /// Word that the page's address must contain: http://HOST:PORT/?token=WORD
     #[arg(long, value_name = "WORD")]
     pub token: Option<String>,
-    /// Address of the page where a proxy shows it and changes the header Host, or no token is wanted there: https://HOST[:PORT]
+    /// Address at which a proxy shows the page, if it changes the header Host or no token is wanted there:
+    /// https://HOST[:PORT]
     #[arg(long, value_name = "ORIGIN", value_parser = origin)]
     pub allow_origin: Option<String>,
     /// True for the options of `train --view`, which have other names.
@@ -142,7 +143,7 @@ pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server
     let address = listener.local_addr().map_err(failed)?;
     listener.set_nonblocking(true).map_err(failed)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
-        // The last lists paths.
+        // One more thread lists paths.
         .max_blocking_threads(WORKERS + export::MOST_EXPORTS + 1)
         .enable_all()
         .build()

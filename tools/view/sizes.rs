@@ -41,7 +41,7 @@ mod tests {
         let (hd, phone) = (1920 * 1080, 360 * 640);
         let mut sizes = Sizes::default();
         assert!((0..100).all(|_| !sizes.note(hd)), "always the same");
-        // Two pages.
+        // Two pages of different sizes take turns.
         assert!((0..100).all(|i| !sizes.note(if i % 2 == 0 { hd } else { phone })));
         assert!(!sizes.note(8192 * 8192));
         let after = (1..=50).filter(|_| sizes.note(hd)).count();

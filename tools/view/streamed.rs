@@ -22,7 +22,7 @@ use std::sync::Arc;
 pub struct Scenery {
     pub renderer: Renderer,
     streaming: Option<Streaming>,
-    /// From the first edit on.
+    /// Created by the first edit.
     edits: Option<Edits>,
     /// Mask of the selection, a bit per drawn Gaussian.
     mask: Option<Buffer>,

@@ -101,7 +101,7 @@ pub struct SceneArguments {
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
-    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
+    /// Most Gaussians in a picture of a folder of tiles; the tiles whose error is largest in pixels are refined first
     /// [default: 1000000; pages can change it]
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
     budget: Option<Target>,
@@ -190,7 +190,7 @@ impl Subject {
         data.images = wanted.images.clone().unwrap_or(data.images);
         let requested = wanted.source_path.is_some() || wanted.images.is_some();
         let white = model.settings.train.white_background;
-        // The user's own data set is no stranger's; the name of its photos' folder may be.
+        // The user names this data set, so it may lie anywhere; a stranger's model may still name its photos' folder.
         let own = wanted.source_path.as_ref().and_then(|source| dunce::canonicalize(source).ok());
         let is_users = own.is_some() && wanted.images.is_some();
         if within.is_some_and(|folder| !is_users && !lies_within(&data, own.as_deref().unwrap_or(folder))) {
@@ -267,13 +267,13 @@ impl Subject {
         Shown { parts, has_cameras: !self.cameras.is_empty(), frame: self.frame, base: self.base }
     }
 
-    /// This scene behind those that are open, whose Gaussians are `all`. It is drawn with their settings.
+    /// Adds this scene to those that are open, whose Gaussians are `all`. It is drawn with their settings.
     pub fn beside(self, mut shown: Shown, all: Gaussians) -> Subject {
         let degree = self.gaussians.sh_degree.max(all.sh_degree);
         let trained = |base: &RenderSettings| (base.antialias, base.dilation_px2);
         let differs = trained(&self.base) != trained(&shown.base);
         let mut added = self.shown();
-        // `convert` joins no such files.
+        // `convert` cannot join files that are drawn differently.
         added.parts.iter_mut().filter(|_| differs).for_each(|part| part.file = None);
         let notes = [
             (differs, "they were trained differently, and are drawn as the first"),
@@ -360,7 +360,7 @@ impl Subject {
             "densities": statistics.density_percentiles,
             "scenes": self.parts.iter().map(|part| json!({ "name": part.name, "count": part.count })).collect::<Vec<_>>(),
             "stem": self.stem(),
-            // Those of exports.
+            // Formats of exports.
             "formats": openings::single_files(&Format::WRITTEN),
             "convert": self.convert_command(),
             "background": self.base.background,
@@ -406,7 +406,8 @@ pub fn is_plain_name(name: &str) -> bool {
     name.chars().all(plain) && !name.starts_with('-')
 }
 
-/// A path for any shell of this system, and a plain name for that of any other. None where their quotes differ.
+/// Quotes a path for all shells of this system; a plain name suits those of other systems too. None if shells would need
+/// different quotes.
 fn word_of(path: &str) -> Option<String> {
     if is_plain_name(path) && path.contains(' ') {
         return Some(format!("\"{path}\""));

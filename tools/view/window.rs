@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
     let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));
     let failed = app.close();
     drop(app);
-    // The last objects take the device with them; report what validation says of that.
+    // Closing destroys the device and reports what validation says of that.
     let left = || vec!["the window is closed, and something of it still holds the device".to_owned()];
     for message in context.close().unwrap_or_else(left) {
         tell!("validation: {message}");

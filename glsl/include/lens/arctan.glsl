@@ -1,4 +1,4 @@
-// Arctangents to float32's precision. Vulkan allows its own an error of 4096 ulp, half a pixel in a thousand.
+// Arctangents with float32's precision. Vulkan allows atan an error of 4096 ulp, half a pixel in a thousand.
 
 // Angle of (x, y) from the x axis.
 float arctan(float y, float x) {

@@ -131,7 +131,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
             };
             scenes.iter().map(&mut placed).collect()
         });
-        // Two views with one sort, one of them with motion: rare by chance.
+        // Every eighth frame has two views with one sort, one with motion, which chance would rarely give.
         let is_pair = frame % 8 == 5;
         let base = camera(0.2 * below(30) as f32, SIZE[0], SIZE[1]);
         let base = if below(4) == 0 && kinds.tools { parallel(&base) } else { base };

@@ -55,7 +55,7 @@ pub enum Layout {
 /// Initial points of the data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Points {
-    /// As structure from motion would leave them; points3d.ply beside transforms_train.json
+    /// Sparse, as from structure from motion; in points3d.ply beside transforms_train.json
     Sparse,
     /// None: training starts from random ones
     None,

@@ -25,7 +25,6 @@ const SAID: usize = 3;
 const ADVICE: &str = "take more photographs: each overlapping the next by two thirds, from places some steps apart (not turning \
                       on the spot), sharp, of a scene that has texture and does not move";
 
-/// Finds cameras.
 pub struct Cameras<'a> {
     pub arguments: &'a Arguments,
     pub colmap: &'a Colmap,
@@ -42,7 +41,6 @@ pub struct Found {
     pub model: PathBuf,
     pub registered: HashSet<String>,
     pub points: usize,
-    /// Number of models.
     pub models: usize,
 }
 
@@ -140,7 +138,7 @@ impl Cameras<'_> {
         let cameras = if cameras == 1 { "1 camera".into() } else { format!("{cameras} cameras") };
         let log = work.path(LOG_FILE);
         let wanted = self.gpu;
-        // Features from the processor are as good: an earlier run may have found that the GPU fails.
+        // Also accepts features from the processor: an earlier run may have found that the GPU fails.
         for gpu in [false, wanted] {
             self.gpu = gpu;
             if work.has_features(&self.key(work)?) {

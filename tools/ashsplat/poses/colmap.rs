@@ -20,7 +20,6 @@ const MAX_SIDE_WITHOUT_GPU: u32 = 2000;
 /// Number of blocks of photographs that are compared with each other.
 const BLOCKS: usize = 6;
 
-/// An installed COLMAP.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Colmap {
     program: OsString,
@@ -184,7 +183,7 @@ impl Matcher {
 /// Progress of a stage by COLMAP's output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heard {
-    /// This many of that many steps.
+    /// Finished steps, and all steps.
     Of(u64, u64),
     /// Number of photographs with a camera.
     Registered(u64),

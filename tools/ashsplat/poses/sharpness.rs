@@ -2,8 +2,8 @@
 
 use ashsplat_files::Photo;
 
-/// Width to which pictures are reduced, pixels, about. That removes noise and compression artefacts but keeps relevant
-/// blur.
+/// Approximate width to which pictures are reduced, pixels. Reducing removes noise and compression artefacts but keeps
+/// relevant blur.
 const WIDTH: u32 = 640;
 
 /// Variance of the Laplacian of the reduced grey picture, in squares of 8-bit levels. Comparable between pictures of

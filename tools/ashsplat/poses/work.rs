@@ -146,7 +146,7 @@ impl Work {
 
     /// Moves photographs and model to the data set. `images`: a folder of this work.
     pub fn finish(self, model: &Path, images: Option<&Path>) -> Result<()> {
-        // It names files that will be removed.
+        // project.ini names files that will be removed.
         remove(&model.join("project.ini"))?;
         let ready = self.fresh_folder("readying")?;
         atomic::create_folder(ready.join("sparse"))?;
@@ -173,7 +173,7 @@ impl Work {
                 continue;
             }
             if to.is_dir() {
-                // It was empty when the run began.
+                // The folder was empty when the run began.
                 fs::remove_dir(&to).map_err(|e| Error::io(&to, "replace", e))?;
             }
             rename(&from, &to)?;

@@ -35,11 +35,11 @@ pub struct Arguments {
     /// Render the views of a camera path (JSON)
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
-    /// Render N views on a smooth curve through those of --path: through a model folder's cameras.json in the order of their names,
-    /// through another file in its own
+    /// Render N views on a smooth curve through those of --path; a model folder's cameras.json is sorted by name, another
+    /// file keeps its order
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
     frames: Option<u32>,
-    /// Up in an orbit's pictures, for a PLY without cameras [default: 0,-1,0]
+    /// Up direction of an orbit for a PLY without cameras [default: 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]
     up: Option<Vec3>,
     #[command(flatten)]
@@ -115,7 +115,6 @@ impl Arguments {
         })
     }
 
-    /// The requested views.
     pub fn choose(&self, model: &Model, scene: &Scene, film: Option<Container>) -> Result<Views> {
         let own = model.cameras_file();
         let unsaid = film.is_some() && self.source_path.is_none() && self.path.is_none();

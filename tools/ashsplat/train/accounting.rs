@@ -21,9 +21,9 @@ const SHORT_RUN: (u32, u32) = (600, 400);
 pub struct Effect {
     /// Consecutive iterations without a visible Gaussian.
     empty: u32,
-    /// Consecutive iterations whose views had the same losses as at their beginning.
+    /// Consecutive iterations in which no view's loss has moved.
     still: u32,
-    /// These losses, by view.
+    /// First loss of each view in these iterations.
     losses: BTreeMap<usize, f32>,
     said: bool,
 }

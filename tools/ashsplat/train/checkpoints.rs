@@ -115,7 +115,6 @@ impl Start {
         }
     }
 
-    /// Restores the trainer.
     pub fn trainer(
         &self,
         context: &Context,

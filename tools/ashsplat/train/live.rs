@@ -26,7 +26,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Looking on while training runs.
+/// Options for watching a training in a browser.
 #[derive(Args, Clone, Debug)]
 pub struct LiveArguments {
     /// Serve a page that shows the training (see `ashsplat view`), at this port [default port: 8090; 0 takes a free one]

@@ -145,7 +145,6 @@ impl Origin {
         self.start.as_deref()
     }
 
-    /// The checkpoint, if there is one.
     pub fn checkpoint(&self) -> Option<&Checkpoint> {
         self.start().map(Start::checkpoint)
     }
@@ -196,7 +195,6 @@ impl Origin {
         }
     }
 
-    /// Makes the first Gaussians.
     pub fn first(&self, dataset: &Dataset, settings: &Settings) -> Result<First> {
         let (train, block) = (&settings.train, settings.data.block(&dataset.frame)?);
         let continues = self.start.is_some();

@@ -57,7 +57,7 @@ fn angle(change: &Twist) -> f64 {
     change.omega.length().to_degrees()
 }
 
-/// Distance that the camera's centre moved, world units: that of the origin of its frame.
+/// Distance by which a camera's centre moved, world units.
 fn distance(change: &Twist) -> f64 {
     change.exp().1.length()
 }

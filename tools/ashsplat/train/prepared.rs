@@ -56,7 +56,6 @@ pub fn split(dataset: Dataset, settings: &Settings) -> (Data, Views) {
     (Data { train, scene_extent }, Views { trained, test, cameras, used, frame, takers, held_out })
 }
 
-/// Makes the training view of a view.
 fn train_view(view: View) -> TrainView {
     let View { camera, photo, camera_id, inverse_depth, depth_points, .. } = view;
     TrainView { camera, photo, camera_id, inverse_depth, depth_points }

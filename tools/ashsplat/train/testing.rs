@@ -32,8 +32,8 @@ pub fn check_sizes(weights: &[Weights], gallery: &Gallery, settings: &Settings) 
 }
 
 impl Run {
-    /// Measures the test views; pictures of held-out ones are saved. A failed save is an error if training ends, after
-    /// some attempts, and else a warning. Its pictures are not drawn again; its results are written later.
+    /// Measures the test views and saves pictures of held-out ones. A failed save is an error if training ends, after some
+    /// attempts, and otherwise a warning. The pictures are then not drawn again; the results are written later.
     pub(super) fn test(&mut self, iteration: u32, ends: bool) -> Result<f64> {
         let unsaved = |tested: &Result<(_, Result<()>)>| matches!(tested, Ok((_, Err(_))));
         let (evaluation, saved) = attempt(ends, || self.evaluate(iteration), unsaved)?;

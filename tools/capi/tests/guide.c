@@ -43,7 +43,7 @@ static void open_flights(Engine *engine) {
     }
 }
 
-/* A frame of the engine: an empty room, a wall at this reversed depth, and the guest. Submitted, and not waited for. */
+/* A frame of the engine: an empty room, a wall at this reversed depth, and the guest. It is submitted without waiting. */
 static void draw(Engine *engine, uint32_t slot, const Images *images, float wall) {
     const float view[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -4, 1};
     const float projection[16] = {2, 0, 0, 0, 0, -2.6667f, 0, 0, 0, 0, 0, -1, 0, 0, 0.1f, 0};
@@ -102,16 +102,16 @@ int main(int count, char **arguments) {
     AshsplatForeignImage unfit = large.color->description;
     unfit.format = FORMAT_D32;
     guest->reserved.instances = 4;
-    /* A size that failed first changes nothing. */
+    /* A resize that fails changes nothing. */
     EXPECT(guest_resize(guest, &unfit, &large.depth->description) != AshsplatStatus_Ok && guest->color == NULL);
     check(guest_resize(guest, &small.color->description, &small.depth->description), "the first images");
     uint32_t lit = 0, few = 0;
     draw(&engine, 0, &small, 0);
     draw(&engine, 1, &small, 0);
-    /* Room is made while the other one is in flight. */
+    /* The reservation grows while the other frame is in flight. */
     EXPECT(finish(&engine, 0, &few).overflow);
     draw(&engine, 0, &small, 0);
-    /* So are windows resized, and resizes refused. */
+    /* A window may also be resized while a frame is in flight; a refused resize changes nothing. */
     EXPECT(guest_resize(guest, &unfit, &large.depth->description) != AshsplatStatus_Ok);
     check(guest_resize(guest, &large.color->description, &large.depth->description), "the window grows");
     EXPECT(finish(&engine, 1, &few).overflow);

@@ -102,7 +102,7 @@ typedef struct {
     uint64_t pool;
     void *commands;
     MemoryTypes memory;
-    /* Freed when the host closes, if not before. */
+    /* Freed when the host closes, unless freed before. */
     HostBuffer buffers[MOST];
     HostTexture textures[MOST];
     uint32_t buffer_count, texture_count;
@@ -123,7 +123,7 @@ static inline void require(int result, const char *what) {
     }
 }
 
-/* What was expected, or the line where it was not. */
+/* Requires a condition; otherwise prints the line and ends the program. */
 #define EXPECT(condition) \
     do { \
         if (!(condition)) { \
@@ -132,16 +132,16 @@ static inline void require(int result, const char *what) {
         } \
     } while (0)
 
-/* True if the last error has these words; after a '^', if it begins with them. */
+/* True if the last error has these words; with a leading '^', if it begins with them. */
 static inline bool said(const char *words) {
     const char *error = ashsplat_last_error();
     return words[0] == '^' ? strncmp(error, words + 1, strlen(words) - 1) == 0 : strstr(error, words) != NULL;
 }
 
-/* An argument is refused, and the error says these words. */
+/* Requires that a call refuses an argument with these words. */
 #define REFUSED(call, words) EXPECT((call) == AshsplatStatus_Argument && said(words))
 
-/* The same, where the call is refused because a variable has another value meanwhile. */
+/* The same for a call while a variable has another value. */
 #define REFUSED_WITH(variable, value, call, words) \
     do { \
         char kept[sizeof(variable)]; \
@@ -399,10 +399,10 @@ static inline AshsplatStatus stage_record(Stage *stage) {
     return ashsplat_record(stage->renderer, stage->host.commands, 0, &stage->frame, &stage->release);
 }
 
-/* The frame is refused, and the error says these words. */
+/* Requires that the frame is refused with these words. */
 #define REFUSED_FRAME(stage, words) REFUSED(stage_record(stage), words)
 
-/* Submits what is recorded, waits and asks for the report. */
+/* Submits the recorded commands, waits and reads the report. */
 static inline void stage_finish(Stage *stage) {
     host_submit_and_wait(&stage->host);
     check(ashsplat_slot_report(stage->renderer, 0, &stage->report), "asking for the report");

@@ -1,13 +1,13 @@
 /* Frames of a guest in a host's command buffer: record TRIAL SCENE.ply [FILE...] */
 #include "host.h"
-/* A second time, as by a header of an engine. */
+/* Included a second time, as an engine's header might. */
 #include "ashsplat.h"
 
 /* Column by column: the host looks along -z of its view space, depth reversed, no far plane. */
 static const float VIEW[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -4, 1};
 static const float PROJECTION[16] = {2, 0, 0, 0, 0, -2.6667f, 0, 0, 0, 0, 0, -1, 0, 0, 0.1f, 0};
 
-/* What a host merges into its own features is all that is asked for. */
+/* The host enables only the features that the guest merges into its own. */
 static void merged_features(Host *host) {
     AshsplatContext *none = NULL;
     AshsplatForeignDevice nobody = host->handles;
@@ -47,7 +47,7 @@ static void build_ahead(Stage *stage) {
     ashsplat_kernels_free(kernels);
 }
 
-/* A second guest on the device shows the same scene. */
+/* A second guest on the same device shows the same scene. */
 static void share_scene(Stage *stage) {
     AshsplatContext *other = NULL;
     AshsplatScene *shared = NULL;
@@ -65,7 +65,7 @@ static void share_scene(Stage *stage) {
     ashsplat_context_free(other);
 }
 
-/* Frames in a block of the host's memory, which has too little room at first. */
+/* Frames in a block of the host's memory, which is too small at first. */
 static void plain(char **arguments) {
     static Stage stage;
     Host *host = &stage.host;
@@ -77,7 +77,7 @@ static void plain(char **arguments) {
     AshsplatRenderer *renderer = stage.renderer;
     AshsplatReservation *wanted = &stage.wanted;
     REFUSED(ashsplat_grow(renderer, wanted), "");
-    /* Behind something else of the host's. */
+    /* The block begins behind other data of the host. */
     uint64_t bytes = 0;
     wanted->instances = 4;
     check(ashsplat_reservation_bytes(renderer, wanted, &bytes), "asking for the size");
@@ -112,7 +112,7 @@ static void plain(char **arguments) {
     AshsplatSlotReport *report = &stage.report;
     check(ashsplat_slot_report(renderer, 0, report), "asking too early");
     EXPECT(!report->finished && stage.release.stages != 0);
-    /* More room, while the frame is in flight. */
+    /* The block grows while the frame is in flight. */
     wanted->instances = 0;
     check(ashsplat_grow(renderer, wanted), "growing");
     stage_finish(&stage);
@@ -177,7 +177,7 @@ static bool refuse(void *user, const AshsplatMemoryRequest *request, AshsplatMem
     return false;
 }
 
-/* Makes the guest with the counter's memory. Allocators that lack a function or memory come before. */
+/* Makes the guest with the counting allocator, after allocators that lack a function or memory. */
 static void count_memory(Stage *stage, Counter *counter, const char *scene) {
     static AshsplatAllocator allocator;
     allocator = ASHSPLAT_INIT(AshsplatAllocator);
@@ -198,8 +198,8 @@ static void count_memory(Stage *stage, Counter *counter, const char *scene) {
     stage->host.handles.allocator = &allocator;
 }
 
-/* Memory of the host, settings, a frame in the corner of a larger picture, the sum of weights / z, recordings that are thrown
- * away, numbers of no value: memory SCENE.ply PICTURE.png SUMS.bin */
+/* Memory of the host, settings, a frame in the corner of a larger picture, the sum of weights / z, discarded recordings,
+ * invalid numbers of enumerations: memory SCENE.ply PICTURE.png SUMS.bin */
 static void memory(char **arguments) {
     enum { WIDTH = 96, HEIGHT = 64, X = 20, Y = 8, WHOLE_WIDTH = 128, WHOLE_HEIGHT = 80 };
     static Stage stage;
@@ -215,7 +215,7 @@ static void memory(char **arguments) {
     HostTexture *color = host_texture(host, FORMAT_RGBA8_SRGB, usage, WHOLE_WIDTH, WHOLE_HEIGHT);
     HostBuffer *pixels = host_buffer(host, 4 * WHOLE_WIDTH * WHOLE_HEIGHT, USAGE_BUFFER_COPIES);
     HostBuffer *sums = host_buffer(host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
-    /* Kernels would see its texels as another format, which its flags do not allow. */
+    /* Its flags do not allow the other format in which kernels would see its texels. */
     AshsplatImage *none = NULL;
     AshsplatForeignImage fixed = color->description;
     fixed.flags = 0;
@@ -250,7 +250,7 @@ static void memory(char **arguments) {
     REFUSED_WITH(settings.shape, 0x7fffffff, stage_record(&stage), "");
     REFUSED_WITH(to.to.offset[0], WHOLE_WIDTH - WIDTH + 1, stage_record(&stage), "");
 
-    /* Thrown away, and recorded again. */
+    /* The recording is discarded and made again. */
     bool finished = true;
     check(stage_record(&stage), "recording");
     REFUSED_FRAME(&stage, "");
@@ -261,7 +261,7 @@ static void memory(char **arguments) {
     check(ashsplat_slot_report(renderer, 0, &stage.report), "asking for the report");
     EXPECT(!stage.report.finished);
 
-    /* All of the picture is black but for the frame. */
+    /* Outside the frame's rectangle, the picture stays black. */
     int before = counter.made;
     commands = host_begin(host);
     float black[4] = {0, 0, 0, 1};
@@ -325,7 +325,7 @@ static void views(char **arguments) {
     HostTexture *color = host_texture(host, FORMAT_RGBA8_SRGB, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, 2 * WIDTH, HEIGHT);
     HostBuffer *pixels = host_buffer(host, BYTES, USAGE_BUFFER_COPIES);
     AshsplatImage *target = stage_image(&stage, color, AshsplatImageUse_Target);
-    /* The device has this family alone, which owns the image as it is. */
+    /* The device has only this family, which keeps the image. */
     int32_t layout = 0;
     REFUSED(ashsplat_image_of_family(target, 1000, &layout), "");
     check(ashsplat_image_of_family(target, host->handles.queue_family, &layout), "naming the owner");
@@ -352,13 +352,13 @@ static void views(char **arguments) {
         left[i] = ASHSPLAT_INIT(AshsplatRelease);
     }
 
-    /* What submits takes the lock. */
+    /* Functions that submit take the lock. */
     static float rgb[3 * WIDTH * HEIGHT];
     const float black[3] = {0, 0, 0};
     check(ashsplat_render(renderer, stage.scene, &eyes[0], NULL, black, rgb), "rendering");
     EXPECT(lock.taken > 0 && lock.held == 0);
 
-    /* One by one, the second into what the first has left. */
+    /* The views one by one; the second draws over the first one's result. */
     static uint8_t expected[BYTES];
     void *commands = host_begin(host);
     int before = lock.taken;
@@ -398,7 +398,7 @@ static void views(char **arguments) {
     stage_close(&stage);
 }
 
-/* Structs of older headers end before fields of today's; what lies behind them is no value of those fields. Structs of newer
+/* Structs of older headers lack the last fields of today's; the bytes behind them are other data. Structs of newer
  * headers have fields that the library does not know. */
 typedef struct {
     uint32_t struct_size;
@@ -426,14 +426,14 @@ static void other_cameras(Stage *stage) {
     AshsplatRenderer *renderer = stage->renderer;
     const AshsplatScene *scene = stage->scene;
 
-    /* Today's. */
+    /* Structs of today's header. */
     AshsplatCamera camera = ASHSPLAT_INIT(AshsplatCamera);
     EXPECT(camera.struct_size == sizeof camera && camera.camera_from_world[4] == 1 && camera.camera_from_world[1] == 0);
     check(ashsplat_camera_look_at(eye, ORIGIN, up, 0.7f, WIDTH, HEIGHT, &camera), "a camera");
     EXPECT(camera.struct_size == sizeof camera && camera.width == WIDTH);
     check(ashsplat_render(renderer, scene, &camera, NULL, background, rgb), "rendering");
 
-    /* An older camera is written and read without what is behind it. */
+    /* Fields behind an older camera's end are neither read nor written. */
     OldCameraAndMore old;
     AshsplatCamera *as_today = (AshsplatCamera *)&old;
     memset(&old, 0xff, sizeof old);
@@ -442,11 +442,11 @@ static void other_cameras(Stage *stage) {
     EXPECT(old.behind == 0xffffffff && old.camera.struct_size == sizeof old.camera && old.camera.fx == camera.fx);
     check(ashsplat_render(renderer, scene, as_today, NULL, background, again), "rendering");
     EXPECT(memcmp(rgb, again, sizeof rgb) == 0);
-    /* As today's, it would be no camera. */
+    /* With today's size it would be no camera. */
     old.camera.struct_size = sizeof old;
     REFUSED(ashsplat_render(renderer, scene, as_today, NULL, background, again), "camera.projection: 4294967295, there are 0 to 8");
 
-    /* A newer camera works while it says nothing new. */
+    /* A newer camera works as long as its new fields are 0. */
     NewCamera new = {camera, {0, 0}};
     new.known.struct_size = sizeof new;
     memset(again, 0, sizeof again);
@@ -457,12 +457,12 @@ static void other_cameras(Stage *stage) {
             "camera: struct_size is 164, this version knows 156 bytes of AshsplatCamera");
     EXPECT(said("at byte 163"));
 
-    /* Nobody has begun these. */
+    /* These structs were never initialised. */
     camera.struct_size = 0;
     REFUSED(ashsplat_render(renderer, scene, &camera, NULL, background, again),
             "camera: struct_size is 0: begin with ASHSPLAT_INIT(AshsplatCamera)");
     REFUSED(ashsplat_camera_look_at(eye, ORIGIN, up, 0.7f, WIDTH, HEIGHT, &camera), "");
-    /* 72 would be without a height: no header had such a camera. */
+    /* A size of 72 would lack the height, and no header had such a camera. */
     const uint32_t senseless[] = {1, 4, 6, 8, 72, 83, 4100, 0xcccccccc};
     for (int i = 0; i < 8; ++i) {
         camera.struct_size = senseless[i];
@@ -528,7 +528,7 @@ static void structs(char **arguments) {
     REFUSED_WITH(stage.release.struct_size, 0, stage_record(&stage), "release: struct_size is 0");
     REFUSED_WITH(stage.frame.camera, NULL, stage_record(&stage), "camera: the pointer is null");
 
-    /* Parallel rays are reserved. */
+    /* Orthographic cameras need a reservation. */
     stage.camera.projection = AshsplatProjection_Orthographic;
     stage.camera.fx = stage.camera.fy = 20;
     REFUSED_FRAME(&stage, "orthographic: not reserved");
@@ -538,7 +538,7 @@ static void structs(char **arguments) {
     stage_finish(&stage);
     EXPECT(stage.report.visible > 0);
 
-    /* A rolling shutter is reserved, and a camera that moves while it is read draws another picture. */
+    /* A rolling shutter needs a reservation; a camera that moves during the readout draws another picture. */
     stage.camera.projection = AshsplatProjection_Perspective;
     stage.camera.fx = stage.camera.fy = 150;
     REFUSED_WITH(stage.camera.readout, 5, stage_record(&stage), "camera.readout: 5, there are 0 to 4");
@@ -557,7 +557,7 @@ static void structs(char **arguments) {
     EXPECT(seen[0] > 0 && seen[1] != seen[0]);
     REFUSED_WITH(stage.camera.shutter_turn[1], 4, stage_record(&stage), "beyond half a circle");
 
-    /* So are scenes with SH in halves. An update fills this one. */
+    /* Scenes with SH in halves need a reservation too. An update fills this one. */
     stage.camera.readout = AshsplatReadout_Global;
     const float mean[3] = {0, 0, 0}, quat[4] = {1, 0, 0, 0}, log_scales[3] = {-1, -1, -1}, logit = 2, sh[3] = {1, 1, 1};
     AshsplatGaussians one = ASHSPLAT_INIT(AshsplatGaussians);

@@ -27,7 +27,7 @@ static AshsplatGaussians grid(float z) {
     return gaussians;
 }
 
-/* The same, as a scene in the host's own buffers expects it. */
+/* The same grid in the layout of a scene in the host's own buffers. */
 static void fill_planes(float *floats, const AshsplatScenePlan *plan) {
     for (uint32_t i = 0; i < OWN; ++i) {
         float planes[4][4] = {{means[i][0], means[i][1], means[i][2], opacity_logits[i]},
@@ -41,7 +41,7 @@ static void fill_planes(float *floats, const AshsplatScenePlan *plan) {
     }
 }
 
-/* A half float that is finite. */
+/* Converts a half float that is finite. */
 static float of_half(uint16_t bits) {
     int exponent = bits >> 10 & 31;
     float size = (float)(bits & 1023) / 1024 + (exponent > 0 ? 1 : 0);
@@ -144,7 +144,7 @@ static void refused_images(const AshsplatContext *context, const HostTexture *co
     EXPECT(wrong == NULL);
 }
 
-/* A cut-out of the world goes into a scene that is placed there. */
+/* A cut-out in the world is converted to a scene that is placed there. */
 static void cut_out_in_scene(AshsplatCutOut *half, const AshsplatPlaced *placed) {
     check(ashsplat_cut_out_in_scene(half, placed, half), "bringing a cut-out into a scene");
     EXPECT(half->scale == 2 && half->translation[0] < -0.599f && half->translation[0] > -0.601f && half->removes);
@@ -219,7 +219,7 @@ static void own(char **arguments) {
     hidden.visible = false;
     tinted.tint[0] = 0.5f;
     tinted.opacity = 0.75f;
-    /* What lies at x >= 0.55 in the world. */
+    /* Removes what lies at x >= 0.55 in the world. */
     AshsplatCutOut half = ASHSPLAT_INIT(AshsplatCutOut);
     half.volume = AshsplatVolume_HalfSpace;
     half.size[0] = -1;
@@ -227,7 +227,7 @@ static void own(char **arguments) {
     half.removes = true;
     cut.cut_outs = &half;
     cut.cut_out_count = 1;
-    /* The first half of what is left of the grid. */
+    /* Selects the first 16 Gaussians of the grid. */
     HostBuffer *bits = host_buffer(host, 4, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
     const uint32_t selected = 0xffff;
     memcpy(bits->mapped, &selected, sizeof selected);
@@ -245,7 +245,7 @@ static void own(char **arguments) {
     placed[3].translation[0] = 0.3f;
     placed[3].scale = 0.5f;
     placed[3].settings = &cut;
-    /* Half a unit further down in the frame before: it rises by that much of the screen at its z = 3.55. */
+    /* In the previous frame it was half a unit lower, so it rises by that much of the screen at its z = 3.55. */
     AshsplatPose lower = ASHSPLAT_INIT(AshsplatPose);
     lower.translation[0] = 0.3f;
     lower.translation[1] = 0.5f;
@@ -277,7 +277,7 @@ static void own(char **arguments) {
     z.min_weight = 0.5f;
     z.empty = -1;
     AshsplatPickTarget pick = ASHSPLAT_INIT(AshsplatPickTarget);
-    /* The middle of the picture was three pixels further to the left, and lay as high: everything goes to the right. */
+    /* The principal point was three pixels further left and equally high, so everything moves to the right. */
     AshsplatCamera before = stage.camera;
     before.cx -= 3;
     AshsplatMotionTarget motion = ASHSPLAT_INIT(AshsplatMotionTarget);
@@ -308,7 +308,7 @@ static void own(char **arguments) {
     REFUSED_WITH(half.volume, 3, stage_record(&stage), "scenes[3].settings.cut_outs[0].volume: 3, there are 0 to 2");
     REFUSED_WITH(half.size[0], 0, stage_record(&stage), "scenes[3].settings.cut_outs[0].size: a normal");
     REFUSED_WITH(cut.cut_outs, NULL, stage_record(&stage), "scenes[3].settings.cut_outs: the pointer is null");
-    /* Nothing is read of too many. */
+    /* With too many cut-outs, none is read. */
     cut.cut_outs = (const AshsplatCutOut *)sizeof(AshsplatCutOut);
     REFUSED_WITH(cut.cut_out_count, UINT32_MAX, stage_record(&stage), "scenes[3].settings.cut_outs: 4294967295 of them, there may be 16");
     cut.cut_outs = &half;
@@ -363,13 +363,13 @@ static void own(char **arguments) {
         } else {
             EXPECT(x == 0 && y == 0 && z == 0 && at == 0);
         }
-        /* (0, -1) where less than half of the pixel is covered. */
+        /* The motion is (0, -1) where less than half of the pixel is covered. */
         float right = of_half(half_floats[i][0]), down = of_half(half_floats[i][1]);
         if (distance[i] == -1) {
             EXPECT(right == 0 && down == -1);
             continue;
         }
-        /* The scene that rises has at least the share of the weights that its Gaussian picked has, or at most what others leave. */
+        /* The mean motion gives the rising scene's share of the weights, which the pick of this or another scene bounds. */
         float share = -down / rise;
         EXPECT(right > 2.99f && right < 3.01f && share > -0.01f && share < 1.01f);
         if (pixel[i][1] == 3) {
@@ -519,7 +519,7 @@ static void tiles(char **arguments) {
         frame.updates = all_there ? NULL : &update;
         frame.update_count = all_there ? 0 : 1;
         check(ashsplat_record(renderer, host_begin(&host), 0, &frame, NULL), "recording");
-        /* The recording has a copy. */
+        /* The recording has its own copy of the Gaussians. */
         ashsplat_tile_gaussians_free(read);
         host_submit_and_wait(&host);
         check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
@@ -531,7 +531,7 @@ static void tiles(char **arguments) {
     memset(all, 0xff, sizeof all);
     check(ashsplat_tree_cut(tree, &demand, (const bool *)all, again, &again_count), "asking with all there");
     EXPECT(again_count == drawn_count && memcmp(again, drawn, 4 * drawn_count) == 0);
-    /* Without the tiles below it, a tile is drawn itself; nothing is wanted below one that cannot be there. */
+    /* Without its children a tile is drawn itself, and nothing is wanted below one that cannot be loaded. */
     bool only_root[TILES] = {true};
     uint32_t coarse[TILES], coarse_count = 0;
     check(ashsplat_tree_cut(tree, &demand, only_root, coarse, &coarse_count), "asking with the coarsest alone");

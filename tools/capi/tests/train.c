@@ -13,7 +13,7 @@ static AshsplatStatus of_points(const AshsplatContext *context, const AshsplatTr
     return ashsplat_trainer_new_from_points(context, views, VIEWS, means[0], colors, COUNT, 0, settings, trainer);
 }
 
-/* Light, lens, poses and depths by another strategy from points, stopped and gone on with. */
+/* Trains exposure, lens, poses and depths from points by another strategy; stops and resumes. */
 static void learns(const AshsplatContext *context, const AshsplatTrainView *plain, const char *path) {
     static uint8_t mask[WIDTH * HEIGHT];
     static float exposures[VIEWS][3][4], again[VIEWS][3][4], effects[VIEWS][3][4];
@@ -52,7 +52,7 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
     for (int v = 0; v < VIEWS; ++v) moved[v] = ASHSPLAT_INIT(AshsplatCamera);
     check(ashsplat_trainer_cameras(whole, moved, VIEWS), "cameras");
     EXPECT(moved[0].width == WIDTH && memcmp(moved[0].translation, views[0].camera->translation, sizeof moved[0].translation) != 0);
-    /* What does not fit is refused by name. */
+    /* Arrays that do not fit are refused by name. */
     REFUSED(ashsplat_trainer_exposures(whole, exposures[0][0], 2), "count: is 2, there are 3 views");
     REFUSED(ashsplat_trainer_cameras(whole, NULL, VIEWS), "cameras: ");
     REFUSED(ashsplat_trainer_resume(context, views, 2, checkpoint, 0, settings, &none), "views");
@@ -63,7 +63,7 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
         REFUSED(of_points(context, views, wrong[i][0], &none), wrong[i][1]);
     }
     ashsplat_trainer_free(second);
-    /* A filter and a mark, which the file has; nothing is learned of light. */
+    /* The file has a filter and a mark; no exposure is learned. */
     const char *filtered = "{\"preset\": \"fast\", \"few_photos\": true, \"iterations\": 20, \"filter_3d\": true, \"antialiasing\": true}";
     check(of_points(context, plain, filtered, &second), "a trainer");
     check(ashsplat_trainer_step(second, &step), "a step");
@@ -121,7 +121,7 @@ static void learns_of_depths(const AshsplatContext *context, const AshsplatTrain
     EXPECT(none == NULL);
 }
 
-/* Two trainers of the same settings: one submits by itself, one is recorded. They have to agree to the bit: steps RESULT.ply */
+/* Two trainers of the same settings, one that submits and one that is recorded, agree to the bit: steps RESULT.ply */
 static void steps(char **arguments) {
     static Host host;
     host_open(&host);
@@ -168,9 +168,9 @@ static void steps(char **arguments) {
     REFUSED(ashsplat_trainer_record(recorded, NULL, 0, NULL), "commands: ");
     REFUSED(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "trainer: its training steps are not reserved: call ashsplat_trainer_reserve");
     require(host.EndCommandBuffer(host.commands), "vkEndCommandBuffer");
-    /* Too little room at first: the first step changes nothing, and is recorded again. */
+    /* The capacity is too small at first: the first step changes nothing, and is recorded again. */
     check(ashsplat_trainer_reserve(recorded, 1, 10, 0), "reserving");
-    /* A step that is thrown away is recorded again. */
+    /* A discarded step is recorded again. */
     AshsplatStep thrown = ASHSPLAT_INIT(AshsplatStep);
     check(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "recording a step");
     require(host.EndCommandBuffer(host.commands), "vkEndCommandBuffer");
@@ -225,7 +225,7 @@ static void steps(char **arguments) {
  * measures SCENE.ply WEIGHTS.safetensors RESULTS.bin */
 static void measures(char **arguments) {
     enum { W = 64, H = 48, PIXELS = W * H, N = 500, SH_FLOATS = 3 * 4 * N };
-    /* One more than there is: nothing is written there. */
+    /* One element more than needed; nothing may be written there. */
     static float by_means[3 * N + 1], by_quats[4 * N + 1], by_scales[3 * N + 1], by_logits[N + 1], by_sh[SH_FLOATS + 1];
     static float by_means2d[2 * N + 1], sizes[N + 1];
     static float rgb[3 * PIXELS], other[3 * PIXELS], of_image[3 * PIXELS], of_depth[PIXELS];
@@ -239,7 +239,7 @@ static void measures(char **arguments) {
     FILE *out = fopen(arguments[2], "wb");
     EXPECT(out != NULL);
 
-    /* Settings of Mip-Splatting. Without sizes the filter changes nothing. */
+    /* Settings of Mip-Splatting. Without sizes, the filter changes nothing. */
     AshsplatRenderSettings settings = ASHSPLAT_INIT(AshsplatRenderSettings);
     settings.antialias = true;
     settings.antialias_detached = 1;
@@ -261,7 +261,7 @@ static void measures(char **arguments) {
     REFUSED(ashsplat_compute_filters(renderer, scene, cameras, 2), "cameras[1].projection: is orthographic");
     REFUSED(ashsplat_filters(renderer, scene, NULL), "sizes: ");
 
-    /* The same filter in a recorded frame: it is reserved. */
+    /* The same filter in a recorded frame needs a reservation. */
     EXPECT(stage.wanted.gaussians == N && stage.wanted.sh_degree == 1);
     stage_reserve(&stage);
     stage.frame.settings = &settings;
@@ -282,7 +282,7 @@ static void measures(char **arguments) {
         EXPECT(error < 1e-5f && error > -1e-5f);
     }
 
-    /* Gradients of a function of the picture and of the depths; of some alone the same bits. */
+    /* Gradients of a function of picture and depths; a part of them has the same bits. */
     for (int i = 0; i < 3 * PIXELS; ++i) of_image[i] = (float)(i * 7 % 13 - 6) / 8.0f;
     for (int i = 0; i < PIXELS; ++i) of_depth[i] = (float)(i * 5 % 11 - 5) / 16.0f;
     settings.inverse_depth = true;
@@ -307,7 +307,7 @@ static void measures(char **arguments) {
     parallel.projection = AshsplatProjection_Orthographic;
     REFUSED(ashsplat_gradients(renderer, scene, &parallel, &settings, background, of_image, NULL, &gradients), "orthographic");
 
-    /* A camera that was moved fits the photograph again. */
+    /* A moved camera is aligned with the photograph again. */
     AshsplatAlignment alignment = ASHSPLAT_INIT(AshsplatAlignment);
     EXPECT(alignment.steps == 100 && alignment.lr == 2e-3 && alignment.lambda_dssim == 0.2);
     check(ashsplat_render(renderer, scene, &camera, NULL, background, rgb), "rendering");

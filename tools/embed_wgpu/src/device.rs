@@ -83,7 +83,7 @@ pub fn instance(validation: bool) -> Result<wgpu::Instance> {
     }
 }
 
-/// A messenger beside wgpu's own, which writes to the log.
+/// A messenger in addition to wgpu's own, which writes to the log.
 ///
 /// # Safety
 /// The instance has VK_EXT_debug_utils and lives until [`Messages::finish`].

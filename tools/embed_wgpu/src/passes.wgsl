@@ -1,11 +1,11 @@
-// What the host draws before and behind the splats.
+// The host's own passes before and after the splats.
 
 @vertex
 fn full_screen(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {
     return vec4f(f32(4u * (i & 1u)) - 1.0, f32(2u * (i & 2u)) - 1.0, 0.0, 1.0);
 }
 
-// A gradient from above to below: `backdrop` in passes.rs is its twin.
+// A vertical gradient, the same as `backdrop` in passes.rs.
 @fragment
 fn backdrop(@builtin(position) at: vec4f) -> @location(0) vec4f {
     let below = at.y / HEIGHT;

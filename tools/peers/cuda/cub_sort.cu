@@ -1,5 +1,5 @@
 // CUB's radix sort of pairs of u32: nvcc -O3 -arch=native cub_sort.cu -o cub_sort && ./cub_sort
-// Beside it: ashsplat bench sort --elements N. Both sort 32 bits and time by the device's clock.
+// Compare with: ashsplat bench sort --elements N. Both sort 32 bits and time by the device's clock.
 #include <algorithm>
 #include <cstdio>
 #include <cub/cub.cuh>

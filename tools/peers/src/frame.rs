@@ -8,7 +8,7 @@ use ashsplat_files::{Photo, PhotoFileFormat, metrics, splats};
 use std::path::Path;
 use wgpu_3dgs_viewer as peer;
 
-/// Cutoff of the peer's quads: with this one its Gaussians are the file's, exp(-d^2 / 2), out to four deviations.
+/// Cutoff of the peer's quads. With this value it draws Gaussians exp(-d^2 / 2) of the file's shape, out to d = 4.
 const MAX_STD_DEV: f32 = 2.828_427;
 
 pub fn run(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result<()> {

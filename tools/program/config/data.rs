@@ -26,23 +26,23 @@ pub struct DataSettings {
     /// sparse/0/depth_params.json, or else are fitted to the sparse points
     #[arg(short, long, value_name = "FOLDER")]
     pub depths: PathBuf,
-    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
+    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 reduces wider photos to 1600 [default: -1]
     #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     pub resolution: i32,
     /// Photos as they are stored, or turned as their metadata (Exif) say; auto takes them as stored unless the sizes of
     /// their cameras are those of the turned ones [default: auto]
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
     pub orientation: String,
-    /// Replace photos of fisheyes and other lenses by those of pinholes, as COLMAP's image_undistorter does; panoramas and lenses of
-    /// half a circle or more cannot be. Otherwise each is trained on as its lens drew it
+    /// Replace photos of fisheyes and other lenses by those of pinholes, as COLMAP's image_undistorter does; impossible for
+    /// panoramas and lenses of 180 degrees or more. Otherwise training renders each photo with its own lens
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub undistort: bool,
     /// Transparent pixels of the photos show the background (target), do not count (mask), or have their stored colours
     /// (ignore) [default: target]
     #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE")]
     pub alpha: String,
-    /// Turn the scene upright about the middle of the cameras: the direction across their horizontal axes becomes -y in all that is
-    /// written. settings.toml has the turn itself, up direction and fixed point, which on is replaced by [default: off]
+    /// Turn the scene upright about the middle of the cameras: the direction perpendicular to their horizontal axes becomes
+    /// -y in all output. settings.toml has up direction and fixed point in place of `on` [default: off]
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "on", value_name = "off|on|X,Y,Z,X,Y,Z")]
     pub level: String,
     /// Hold out every 8th view (by name) for tests
@@ -56,9 +56,9 @@ pub struct DataSettings {
     /// sets --exposure (the reference's protocol)
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub train_test_exp: bool,
-    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and learning rates fall over a longer share. auto changes
-    /// nothing from 32 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
-    /// Options that set these values take precedence [default: auto]
+    /// Settings for few photos: steps leave some Gaussians out, opacities are penalised, and learning rates fall over a
+    /// longer share. auto applies them fully to at most 12 photos, partly up to 32, and never with the reference's strategy;
+    /// on applies them fully. Options that set these values take precedence [default: auto]
     #[arg(long, value_name = "WHEN")]
     pub few_photos: When,
     /// Start from 100,000 random points where the data set has none, instead of refusing it; with --photo-points only
@@ -69,9 +69,9 @@ pub struct DataSettings {
     /// budget and mcmc (auto) [default: auto]
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "on", value_name = "WHEN")]
     pub photo_points: When,
-    /// Train this block of a file that `ashsplat partition` wrote: data set, photos, start, block, margin, scene extent,
-    /// iterations and model folder are as it says; -s and --init name the same data set and coarse model where they are elsewhere on
-    /// this machine
+    /// Train this block of a file that `ashsplat partition` wrote. The file determines data set, photos, start, block,
+    /// margin, scene extent, iterations and model folder; -s and --init give the paths of data set and coarse model if they
+    /// differ on this machine
     #[arg(long, value_name = "BLOCKS.json:N", help_heading = "Blocks", conflicts_with_all = [
         "model_path", "images", "resolution", "orientation", "undistort", "alpha", "level", "eval", "eval_split", "train_test_exp", "block",
         "margin", "scene_extent",
@@ -80,8 +80,8 @@ pub struct DataSettings {
     /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
     #[arg(long, value_name = "FILE")]
     pub init: PathBuf,
-    /// Train the Gaussians of the start with centres in this box, least and greatest corner, in the data set's coordinates; the others
-    /// are drawn and stay as they are. Sides may be inf or -inf
+    /// Train only the initial Gaussians with centres in this box (least and greatest corner, in the data set's coordinates);
+    /// the others are drawn but frozen. Sides may be inf or -inf
     #[arg(
         long,
         value_name = "X,Y,Z,X,Y,Z",
@@ -90,7 +90,8 @@ pub struct DataSettings {
         allow_hyphen_values = true
     )]
     pub block: Vec<f64>,
-    /// Train those this far around the block too, in the data set's units; none are added there [default: 0]
+    /// Also train the Gaussians within this distance of the block, in the data set's units; none are added there [default:
+    /// 0]
     #[arg(long, value_name = "X", help_heading = "Blocks", allow_hyphen_values = true)]
     pub margin: f64,
     /// Treatment of the scene outside the block: drawn and frozen, or masked (pixels that show it do not count; takes less memory; drawn
@@ -102,8 +103,8 @@ pub struct DataSettings {
     /// training begins with (--init); continue such a training on the same device, for another one may see other parts [default: auto]
     #[arg(long, help_heading = "Blocks")]
     pub photo_parts: When,
-    /// The extent that scales the means' learning rate and the thresholds of densification, in the data set's units: of a block, that
-    /// of the whole scene; 0 takes that of the training cameras [default: 0]
+    /// Scene extent, which scales the means' learning rate and the thresholds of densification, in the data set's units: for
+    /// a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
     #[arg(long, value_name = "X", help_heading = "Blocks", allow_hyphen_values = true)]
     pub scene_extent: f64,
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
@@ -118,8 +119,7 @@ pub struct DataSettings {
     /// Write a checkpoint, from which training can continue, after these iterations
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     pub checkpoint_iterations: Vec<u32>,
-    /// Write a checkpoint every N iterations and after the last, of which only the newest stays; 0 for none
-    /// [default: 0]
+    /// Write a checkpoint every N iterations and after the last; only the newest of these stays; 0 writes none [default: 0]
     #[arg(long, value_name = "N")]
     pub checkpoint_every: u32,
 }
@@ -178,7 +178,7 @@ impl Default for DataSettings {
 pub enum Split {
     /// Every 8th by name, beginning with the first
     Reference,
-    /// The reference's from 24 views on; of fewer, as many, at equal distances from each other and the ends
+    /// As reference from 24 views on; with fewer, the same number, evenly spaced between the first and the last view
     Inner,
 }
 
@@ -203,13 +203,13 @@ pub enum Outside {
 }
 
 impl Outside {
-    /// True if the scene around a block is drawn. A masked one is drawn after an exchange: the block's neighbours were
-    /// trained together with Gaussians of this block in front of them or behind.
+    /// True if the scene around a block is drawn. A masked scene is drawn after an exchange, because the neighbours were
+    /// trained with this block's Gaussians in front of them or behind.
     pub fn is_drawn(self, exchanged: bool) -> bool {
         exchanged || self == Outside::Drawn
     }
 
-    /// The block without its frozen Gaussians if they are not drawn.
+    /// The block; without its frozen Gaussians if they are not drawn.
     pub fn leave(self, block: SceneBlock, exchanged: bool) -> SceneBlock {
         match self.is_drawn(exchanged) {
             true => block,

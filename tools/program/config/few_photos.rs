@@ -8,14 +8,14 @@ use ashsplat_files::Gallery;
 /// Spread of exposures from which presets learn them, stops (tools/strategies.md).
 const LEAST_SPREAD: f64 = 0.12;
 
-/// Facts of data set and start, on which settings depend that are not given.
+/// Facts about data set and start that determine the defaults of settings.
 #[derive(Clone, Copy, Default)]
 pub struct Facts<'a> {
-    /// Number of photos to which the settings are adapted, if they are.
+    /// Number of photos to which the settings are adapted, if any.
     photos: Option<usize>,
     /// Settings of the checkpoint from which a training continues.
     continued: Option<&'a TrainSettings>,
-    /// SH degree that the start has already.
+    /// SH degree of the start.
     pub(super) sh_degree: u32,
 }
 
@@ -43,8 +43,8 @@ impl<'a> Facts<'a> {
 }
 
 impl Given {
-    /// Settles the settings for a data set and a start, and reads the points whose depths are trained on. Returns a line on
-    /// settings that were not given, if they are not those that the checkpoint has.
+    /// Settles the settings for a data set and a start, and reads the points whose depths are trained on. Returns a note on
+    /// defaults, unless they come from the checkpoint.
     pub fn settle_for(
         &self,
         gallery: &mut Gallery,
@@ -84,7 +84,7 @@ impl Given {
         Ok((settled, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))
     }
 
-    /// Switches exposures on for a preset where the photographs differ in them, or as the checkpoint has them. Returns a line that
+    /// With a preset, enables exposures if the photographs differ in exposure, or as in the checkpoint. Returns a note that
     /// says why.
     fn settle_exposure(
         &self,
@@ -101,7 +101,7 @@ impl Given {
             settings.train.exposure = continued.exposure;
             return None;
         }
-        // Reading all photos reports an unreadable one.
+        // An unreadable photo is ignored here, because reading all photos reports it.
         let stops = gallery.exposure_spread().ok().flatten().filter(|&stops| stops >= LEAST_SPREAD)?;
         settings.train.exposure = true;
         Some(format!(
@@ -116,7 +116,7 @@ impl Given {
     }
 }
 
-/// Names the settings that the settings for few photos change; `None` if there are none.
+/// Names what the settings for few photos change; `None` if nothing.
 fn described(
     photos: usize,
     is_given: impl Fn(&str) -> bool,
@@ -138,7 +138,7 @@ fn described(
 mod tests {
     use super::*;
 
-    /// No number of photographs has settings far from those of one more.
+    /// One photograph more hardly changes the settings.
     #[test]
     fn settings_change_gradually_with_the_number_of_photos() {
         let values = |photos: usize| {

@@ -40,7 +40,7 @@ fn heading(name: &str) -> &'static str {
     HEADINGS.iter().find(is_of).map_or("Rates and schedules", |(heading, _)| heading)
 }
 
-/// The names of an option's values, and an earlier one.
+/// The values of an option, and the former name of one.
 fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser {
     let earlier = |name: &str| ((option, name) == ("strategy", "reference")).then_some("default");
     PossibleValuesParser::new(names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name))))
@@ -61,7 +61,7 @@ fn argument(option: &TrainOption) -> Arg {
         }
     };
     let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
-    // The reference has this letter, too.
+    // The reference has this letter too.
     let argument = argument.short((option.name == "white_background").then_some('w'));
     let argument = argument.help_heading(heading(option.name));
     match option.kind {

@@ -10,7 +10,7 @@ use toml::Table;
 struct Use {
     names: &'static [&'static str],
     is_used: fn(&Settings) -> bool,
-    /// Name of what uses them.
+    /// The option or kind of training that uses them.
     by: &'static str,
 }
 
@@ -60,7 +60,7 @@ const USES: [Use; 14] = [
     }),
 ];
 
-/// A given setting that the training does not use, and whose value differs from the default; and its user.
+/// A given setting that the training does not use and whose value differs from the default, with the name of its user.
 type Unused = (&'static str, &'static str);
 
 /// All unused settings.

@@ -11,7 +11,7 @@ const DIRECTIONS: [Vec3; 4] =
     [vec3(1.0, 1.0, 1.0), vec3(1.0, -1.0, -1.0), vec3(-1.0, 1.0, -1.0), vec3(-1.0, -1.0, 1.0)];
 /// Distance of the camera, in radii of the tile.
 const DISTANCE: f32 = 4.0;
-/// On each axis, one in this many centres beyond each end is a stray, which does not make pictures smaller.
+/// On each axis, the outermost centres are strays at both ends: one in this many. Pictures need not show them.
 const STRAYS: usize = 50;
 
 /// Largest radius of a ball: single precision ends soon after.
@@ -29,8 +29,8 @@ impl Likeness {
         Likeness { renderer, settings: RenderSettings { background: [0.0; 3], ..settings } }
     }
 
-    /// The root of the squared difference of two pictures, as the mean channel from 0 to 1, integrated over the plane
-    /// through the tile's middle: world units. The root mean square over four directions.
+    /// Difference of two tiles' pictures, world units: the root of the squared difference (mean of the channels, 0 to 1),
+    /// integrated over the plane through the tile's middle. Over four directions it is the root mean square.
     pub fn difference(&mut self, finer: &Gaussians, merged: &Gaussians) -> Result<f64> {
         let (centre, radius) = ball(finer);
         // Scaled to size 1, so that even a tiny tile lies beyond the near plane.
@@ -100,7 +100,7 @@ mod tests {
         gaussians.log_scales = vec![[-5.0; 3]; 101];
         let (centre, radius) = ball(&gaussians);
         assert!((centre.x - 0.5).abs() < 0.02 && (0.45..0.5).contains(&radius), "{centre} {radius}");
-        // A large Gaussian does not matter either.
+        // A large Gaussian does not change the ball either.
         gaussians.log_scales[5] = [8.0; 3];
         assert_eq!(ball(&gaussians), (centre, radius));
         gaussians.means = vec![[3.0, 2.0, 1.0]; 101];

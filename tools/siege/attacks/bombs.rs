@@ -27,7 +27,7 @@ fn within(siege: &Siege, most: u64, said: &str) -> Result<String> {
 
 /// JSON files of 64 MiB beyond `--max-host-memory`.
 pub fn bounded_json(siege: &Siege) -> Result<String> {
-    /// MiB; the program alone takes two thirds of it.
+    /// MiB; the program itself needs two thirds of it.
     const MOST: u64 = 120;
     let folder = siege.new_folder("bounded")?;
     data::write_small(&folder)?;

@@ -85,7 +85,7 @@ fn is_visit(request: &Request) -> bool {
     request.uri().path() == "/" && navigates && !headers.contains_key(header::ORIGIN)
 }
 
-/// True if a Host header names this machine from within.
+/// True if a Host header has a loopback address or the name localhost.
 fn is_own_name(host: &str) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if port.chars().all(|c| c.is_ascii_digit()) => name,

@@ -20,7 +20,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 /// Most bytes of a request's headers.
 const MOST_HEADERS: usize = 64 << 10;
 
-/// Serves for ever.
+/// Accepts and serves connections for ever.
 pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
     let connections = Arc::new(OpenConnections::new(limits));
     loop {
@@ -38,7 +38,6 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
     }
 }
 
-/// One connection.
 async fn attend(stream: Watched, router: Router) {
     let (connection, limits) = (stream.connection.clone(), *stream.connections.limits());
     let answering = connection.clone();

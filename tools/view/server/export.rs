@@ -27,7 +27,7 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 pub(super) const MOST_EXPORTS: usize = 2;
 /// Longest wait for the rendering thread.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Largest number of a place: files hold no positions that lie farther away.
+/// Largest number in a place, because files hold no positions farther away.
 const FARTHEST: f64 = 1e18;
 
 /// The part, cut, SH degree and place that a page wants.

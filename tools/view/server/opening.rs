@@ -118,7 +118,7 @@ async fn named(site: &Site, request: Request) -> Result<(&Arc<Openings>, String)
     Ok((openings, name.to_owned()))
 }
 
-/// `POST /paths` with `{"path": "…"}`: the paths that begin like this, `{"paths": ["…"], "more": false}`.
+/// `POST /paths` with `{"path": "…"}`: answers with the paths that start with it, `{"paths": ["…"], "more": false}`.
 pub async fn paths(State(site): State<Arc<Site>>, request: Request) -> Result<Response, Response> {
     let (openings, begin) = named(&site, request).await?;
     let openings = openings.clone();

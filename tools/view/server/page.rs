@@ -105,7 +105,7 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
                 Message::Ping(Default::default())
             }
             () = tokio::time::sleep(wait), if !wait.is_zero() => {
-                // The page was not read meanwhile.
+                // The page was not read during this wait, so its silence does not count.
                 heard = Instant::now();
                 continue;
             }

@@ -2,9 +2,9 @@
 
 import { add, clamp, dot, length, looking, normalize, orthonormal, quaternion, rows, slerp, sub, times, turn } from './maths.js';
 
-/** How near the poles an orbit may come, radians. */
+/** Smallest angle between view and pole, radians. */
 const POLE = 0.02;
-/** The engine draws what is farther, world units. */
+/** The engine draws nothing nearer than this, world units. */
 const NEAR = 0.2;
 /** Widest angle of view that is taken over from a lens, radians. */
 const WIDEST = 1.4;
@@ -16,11 +16,11 @@ export class Camera {
         this.fovY = 0.9;
         this.pivot = [0, 0, 0];
         this.up = [0, -1, 0];
-        /** World units of a stride. */
+        /** Length of a stride, world units. */
         this.radius = 3;
-        /** A photo's own camera while the view is exactly its. */
+        /** A photo's camera, while the view is exactly the photo's. */
         this.lens = null;
-        /** Shares of the page that tools and panel cover; the view's middle is that of the rest. */
+        /** Shares of the page that tools and panel cover. The view is centred in the rest. */
         this.covered = { left: 0, right: 0, top: 0, bottom: 0 };
         this.changed = () => {};
     }
@@ -36,14 +36,14 @@ export class Camera {
         this.changed();
     }
 
-    /** Takes over a camera of the engine's form; its lens is kept until the view changes. */
+    /** Takes a camera's pose. With `photo`, its lens is kept until the view changes. */
     take(camera, photo = false) {
         this.rotation = camera.rotation;
         this.position = times(this.toWorld(camera.translation), -1);
         this.fovY = 2 * Math.atan(0.5 * camera.height / camera.fy);
         // Fisheyes and panoramas show more than a pinhole should.
         if (camera.lens) this.fovY = Math.min(this.fovY, WIDEST);
-        // Turning goes on around what the axis passes nearest to.
+        // Turning continues around the axis' nearest point to the old pivot.
         const ahead = dot(sub(this.pivot, this.position), this.forward);
         this.pivot = add(this.position, times(this.forward, ahead > 0.05 * this.radius ? ahead : this.radius));
         // A panorama cannot lie within a picture of another shape.
@@ -61,12 +61,12 @@ export class Camera {
         return this.rotation.map((row) => dot(row, p));
     }
 
-    /** Around the pivot: `yaw` about up, `pitch` about the camera's right. */
+    /** Turns around the pivot: `yaw` about up, `pitch` about the camera's right. */
     orbit(yaw, pitch) {
         this.turnAbout(this.pivot, yaw, pitch);
     }
 
-    /** Looks around where it stands. */
+    /** Turns around the camera's own position. */
     look(yaw, pitch) {
         this.turnAbout(this.position, yaw, pitch);
         this.pivot = add(this.position, times(this.forward, this.distance));
@@ -82,7 +82,7 @@ export class Camera {
         this.touch();
     }
 
-    /** By pixels of a picture of a height, so that what the pivot shows follows the pointer. */
+    /** Shifts by pixels of a picture of this height: the pivot follows the pointer. */
     pan(x, y, height) {
         const scale = 2 * this.distance * Math.tan(0.5 * this.fovY) / height;
         const move = add(times(this.right, -x * scale), times(this.down, -y * scale));
@@ -91,14 +91,14 @@ export class Camera {
         this.touch();
     }
 
-    /** Closer to the pivot by a factor. */
+    /** Scales the distance to the pivot by a factor. */
     dolly(factor) {
         const arm = times(sub(this.position, this.pivot), clamp(factor, 0.2, 5));
         this.position = add(this.pivot, length(arm) < 1e-3 * this.radius ? times(normalize(arm, this.forward), 1e-3 * this.radius) : arm);
         this.touch();
     }
 
-    /** Along its own axes, in world units. */
+    /** Moves along the camera's axes, world units. */
     fly(v) {
         const move = this.toWorld(v);
         this.position = add(this.position, move);
@@ -124,14 +124,14 @@ export class Camera {
         this.touch();
     }
 
-    /** As the end of an address, in the coordinates of the scene's file: position, pivot, quaternion, field of view. */
+    /** The view as the fragment of an address, in the file's coordinates: position, pivot, quaternion, field of view. */
     link({ origin, unit }) {
         const inFile = (place) => add(origin, times(place, unit));
         const numbers = [...inFile(this.position), ...inFile(this.pivot), ...quaternion(this.rotation), this.fovY];
         return `#view=${numbers.map((value) => Number(value.toPrecision(10))).join(',')}`;
     }
 
-    /** Takes the view of such an address; false if it has none. */
+    /** Takes the view from such a fragment; false if it has none. */
     takeLink(text, { origin, unit }) {
         const numbers = text.startsWith('#view=') ? text.slice(6).split(',').map(Number) : [];
         const [fov] = numbers.slice(10), turned = Math.hypot(...numbers.slice(6, 10));
@@ -145,20 +145,20 @@ export class Camera {
         return true;
     }
 
-    /** Where the photo lies in a picture of a size: scale and corner. */
+    /** Scale and corner (pixels) of the photo within a picture of this size. */
     frame(width, height) {
         const { width: w, height: h } = this.lens, free = this.free(width, height);
         const scale = Math.min(free.width / w, free.height / h);
         return { scale, x: free.x - 0.5 * w * scale, y: free.y - 0.5 * h * scale, width: w * scale, height: h * scale };
     }
 
-    /** Middle and size of what is not covered, of a picture of a size. */
+    /** Middle and size of the uncovered part of a picture of this size. */
     free(width, height) {
         const { left, right, top, bottom } = this.covered;
         return { x: 0.5 * width * (1 + left - right), y: 0.5 * height * (1 + top - bottom), width: width * (1 - left - right), height: height * (1 - top - bottom) };
     }
 
-    /** Goes back until a box lies whole within what is not covered, and turns around its middle. */
+    /** Moves back until a box fits into the uncovered part, and makes its middle the pivot. */
     fit([low, high], width, height) {
         const { fx, fy } = this.message(width, height), free = this.free(width, height);
         this.pivot = times(add(low, high), 0.5);
@@ -172,7 +172,7 @@ export class Camera {
         this.touch();
     }
 
-    /** As the engine wants it, for a picture of a size. */
+    /** The engine's camera for a picture of this size. */
     message(width, height) {
         const common = { rotation: this.rotation, translation: this.rotation.map((row) => -dot(row, this.position)), width, height };
         if (this.lens) {
@@ -185,7 +185,7 @@ export class Camera {
         return { ...common, fx: f, fy: f, cx: x, cy: y };
     }
 
-    /** Pixel of a point; null behind the camera, and while the view is that of a lens that bends lines. */
+    /** Pixel of a point; null behind the camera, and for a lens that bends lines. */
     project(world, width, height) {
         if (this.lens?.lens) return null;
         const [x, y, z] = this.toCamera(world);
@@ -195,7 +195,7 @@ export class Camera {
     }
 }
 
-/** A view between the keys of a path, as the engine's films have it: Catmull-Rom positions, the shortest way round. */
+/** View between the keys of a path, as in the engine's films: Catmull-Rom positions, shortest rotations. */
 export function between(keys, at, closed) {
     const n = keys.length, spans = closed ? n : n - 1;
     const span = Math.min(Math.floor(at * spans), spans - 1), t = at * spans - span;

@@ -77,7 +77,7 @@ export class Controls {
             return e.type === 'pointerup' ? stroke.end() : stroke.cancel();
         }
         if (e.type !== 'pointerup' || this.moved >= CLICK || e.button > 0) return;
-        // When it happened, not when a busy page comes to hear of it.
+        // Time of the event itself, which a busy page receives later.
         const now = e.timeStamp, { clicked } = this;
         const near = clicked && Math.hypot(e.clientX - clicked.x, e.clientY - clicked.y) < 12;
         if (near && now - clicked.time < 400) {
@@ -98,7 +98,7 @@ export class Controls {
     }
 
     key(e) {
-        // A dialog has the keys for itself, and Esc closes it.
+        // An open dialog receives all keys; Esc closes it.
         if (document.querySelector('dialog[open]')) {
             if (this.actions.covered(e)) e.preventDefault();
             return;
@@ -111,7 +111,7 @@ export class Controls {
             e.preventDefault();
             if (!this.held.size) this.last = 0;
             this.held.add(e.code);
-            // At once, not with the next tick: a short press counts too.
+            // Steers at once, because a press may be shorter than a tick.
             if (!e.repeat) this.steer(1 / 60, e);
             Object.assign(this, { fast: e.shiftKey, slow: e.altKey });
         } else if (!e.repeat && this.actions.key(e.code, e)) {
@@ -132,12 +132,12 @@ export class Controls {
         if (any) camera.fly(moved);
     }
 
-    /** Once per animation frame. */
+    /** Runs once per animation frame. */
     tick(now) {
         if (this.held.size) this.steer(clamp((now - (this.last || now)) / 1000, 0, 0.1));
         this.last = now;
     }
 
-    /** Whether the view is being moved. */
+    /** True while the view is moved. */
     get busy() { return this.held.size > 0 || this.pointers.size > 0 && this.moved >= CLICK; }
 }

@@ -2,11 +2,11 @@
 // pages, and each frame has their counts.
 
 const find = (id) => document.getElementById(id);
-/** Most points of a stroke that the program takes. */
+/** Most points of a stroke; the program accepts little more. */
 const MOST_POINTS = 1000;
 /** Smallest step of a stroke, CSS pixels. */
 const STEP = 3;
-/** What a selection does with the one before: Shift adds, Alt removes. */
+/** How a new region changes the selection: Shift adds, Alt removes. */
 const how = (event) => (event.shiftKey ? 'add' : event.altKey ? 'remove' : document.querySelector('[name=how]:checked').value);
 const COMMANDS = ['hide', 'show', 'delete', 'undo', 'redo'];
 
@@ -15,7 +15,7 @@ export class Edit {
         Object.assign(this, { link, camera, frames, picker, overlay, filter, allowed: false });
         for (const op of COMMANDS) find(`edit-${op}`).onclick = () => this.send(op);
         find('select-all').onclick = () => this.select({ kind: 'all' }, 'set');
-        // Also what the cut hides.
+        // Deselects Gaussians that the cut hides too.
         find('select-none').onclick = () => this.send('select', { region: { kind: 'all' }, how: 'remove' });
         find('select-invert').onclick = () => this.select({ kind: 'all' }, 'toggle');
         find('brush-size').oninput = () => this.showSize();
@@ -52,13 +52,13 @@ export class Edit {
         find('brush-size').parentElement.querySelector('output').textContent = `${this.size} px`;
     }
 
-    /** The ring of the brush under the pointer. */
+    /** Shows the brush's ring under the pointer. */
     hover(place) {
         this.overlay.shape = place && { circle: place, radius: this.size };
         this.overlay.draw();
     }
 
-    /** Begins a stroke of a tool: what follows the pointer until it is lifted. Shift adds, Alt removes. */
+    /** Begins a stroke of a tool, which follows the pointer until release. Shift adds, Alt removes. */
     begin(tool, x, y, event) {
         return tool === 'sphere' ? this.sphere(x, y, how(event)) : this.stroke(tool, x, y, how(event));
     }
@@ -89,7 +89,7 @@ export class Edit {
         };
     }
 
-    /** From the surface under the pointer as far as it is dragged. */
+    /** Selects a sphere around the surface under the pointer; dragging sets the radius. */
     sphere(x, y, how) {
         let to = [x, y], answered = false, ended = false, depth = null, center = null;
         const pixels = () => Math.hypot(to[0] - x, to[1] - y);
@@ -117,7 +117,7 @@ export class Edit {
         };
     }
 
-    /** The camera as sent, and its pixels per CSS pixel. */
+    /** The camera of the picture, and its pixels per CSS pixel. */
     view() {
         const [width, height] = this.frames.size;
         return [this.camera.message(width, height), width / innerWidth];

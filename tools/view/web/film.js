@@ -4,9 +4,9 @@ import { between } from './camera.js';
 import { download } from './frames.js';
 import { add, sub, times } from './maths.js';
 
-/** Widest GIF of the program, pixels. */
+/** Widest GIF that the program writes, pixels. */
 const GIF_WIDTH = 640;
-/** Bytes of a GIF per pixel and frame: orbits of three trained scenes have 0.21 to 0.39. */
+/** Estimated bytes of a GIF per pixel and frame: orbits of three trained scenes have 0.21 to 0.39. */
 const GIF_BYTES = 0.3;
 
 const find = (id) => document.getElementById(id);
@@ -28,7 +28,7 @@ export class Film {
         this.note();
     }
 
-    /** What the files will be. */
+    /** Describes the files that the film will have. */
     note() {
         const { seconds, frames_per_second: rate, width, height } = this.settings();
         const small = Math.min(width, GIF_WIDTH), low = Math.floor(height * small / width);

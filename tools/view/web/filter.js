@@ -1,22 +1,22 @@
-// What is left out of the scene: faint Gaussians, fog, what lies outside a box. The program cuts on its device as it draws;
-// each frame says which command makes the same cut of the file.
+// Cuts of the scene: faint Gaussians, floaters, everything outside a box. The program applies them while it draws; each
+// frame names the command that cuts the file in the same way.
 
 import { download } from './frames.js';
 
 const find = (id) => document.getElementById(id);
 const AXES = ['x', 'y', 'z'];
-/** The floaters' slider goes from this share of the median density to all of it. */
+/** The floaters' slider goes from this share of the median density to the median itself. */
 const LEAST_SHARE = 1e-4;
-/** Steps of a side of the box. */
+/** Steps of a slider of the box. */
 const STEPS = 400;
-/** Milliseconds that a cut stays as it is before its Gaussians are counted: that takes longer than a frame. */
+/** Gaussians are counted once a cut rests for this time, because counting takes longer than a frame, ms. */
 const REST_MS = 400;
 
-/** A number of few digits, as the program has it. */
+/** A number of few digits, in the program's single precision. */
 const rounded = (value) => Math.fround(Number(value.toPrecision(4)));
 
 export class Filter {
-    /** `say` tells people something. */
+    /** `say` shows a message to the user. */
     constructor(overlay, say) {
         Object.assign(this, { overlay, say, off: false, median: 1, ranges: null, shown: null });
         this.changed = () => {};
@@ -34,11 +34,11 @@ export class Filter {
     }
 
     open(scene, first) {
-        // No frame has shown this one yet: its export waits for that.
+        // No frame has shown this scene yet, and exports wait for one.
         if (scene.run !== this.scene?.run) this.shown = null;
         this.scene = scene;
         find('filter').hidden = scene.empty;
-        // Only a part of a tree is ever there: it is neither counted nor saved.
+        // Only a part of a tree is loaded, so it can be neither counted nor saved.
         find('exports').hidden = Boolean(scene.tree);
         if (first) find('export-format').replaceChildren(...scene.formats.map((format) => new Option(format.slice(1), format)));
         this.median = scene.densities?.[3] || 1;
@@ -47,7 +47,7 @@ export class Filter {
         this.show();
     }
 
-    /** What the sliders of an axis span: the middle of the scene and as much to either side, as far as there is anything. */
+    /** Range of an axis' sliders: the central part of the scene and as much on either side, within the scene's bounds. */
     rangesOf({ bounds: [low, high], central_bounds: [from, to] }) {
         return AXES.map((_, i) => {
             const size = Math.max(to[i] - from[i], 1e-6);
@@ -56,10 +56,10 @@ export class Filter {
         });
     }
 
-    /** The box that the sliders span; none for a scene without one. */
+    /** The box that the sliders span; none for an empty scene. */
     get whole() { return this.ranges && [0, 1].map((end) => this.ranges.map((range) => range[end])); }
 
-    /** A slider at its end leaves the side open. */
+    /** Side of the box; open if its slider is at the end. */
     side(axis, end) {
         const at = Number(this.sides[axis][end].value);
         if (!this.ranges || at === end * STEPS) return null;
@@ -67,7 +67,7 @@ export class Filter {
         return rounded(low + (high - low) * at / STEPS);
     }
 
-    /** As the program takes it. */
+    /** The cut as a message to the program. */
     get cut() {
         if (this.off) return {};
         const opacity = Number(find('min-opacity').value), share = this.share;
@@ -79,7 +79,7 @@ export class Filter {
         };
     }
 
-    /** Of the median density; 0 for none. */
+    /** Least density as a share of the median; 0 for none. */
     get share() {
         const at = Number(find('floaters').value) / 100;
         return at && LEAST_SHARE ** (1 - at);
@@ -111,7 +111,7 @@ export class Filter {
         this.act();
     }
 
-    /** Off, to compare, and on again. */
+    /** Switches the cut off for comparison, and on again. */
     toggle() {
         if (!this.active) return;
         this.off = !this.off;
@@ -127,7 +127,7 @@ export class Filter {
         this.sides.forEach(([from, to]) => {
             const bar = from.parentElement.querySelector('i');
             Object.assign(bar.style, { left: `${100 * from.value / STEPS}%`, right: `${100 - 100 * to.value / STEPS}%` });
-            // The one that has room comes to lie above.
+            // The slider that can still move lies on top.
             from.style.zIndex = Number(from.value) > STEPS / 2 ? 2 : 1;
         });
         const sides = AXES.map((name, axis) => {
@@ -149,17 +149,17 @@ export class Filter {
         return [0, 1].map((end) => AXES.map((_, axis) => this.side(axis, end) ?? this.ranges[axis][end]));
     }
 
-    /** A frame says what it shows. */
+    /** Takes the cut that a frame shows. */
     showFrame({ convert, export: address, edits }) {
         Object.assign(this, { shown: address, convert });
-        // What was selected by hand, no command repeats.
+        // No command can repeat edits by hand.
         this.edited = Boolean(edits?.hidden || edits?.deleted);
         this.showCommand();
         const { tree, run } = this.scene ?? {};
         this.count(convert && !tree ? `${address}&run=${run}&revision=${edits?.revision ?? 0}` : null);
     }
 
-    /** The command that makes the same file: the cut, and the scene's new place. */
+    /** Shows the command that makes the same file: the cut, and the scene's new place. */
     showCommand() {
         const options = `${this.convert ?? ''}${this.placement.options}`.trim();
         const command = options && this.scene?.convert && !this.edited && !find('export-part').value ? `${this.scene.convert} ${options}` : '';
@@ -170,7 +170,7 @@ export class Filter {
         find('command-text').replaceChildren(...words.flatMap((word, index) => (index ? [' ', word] : [word])));
     }
 
-    /** Says how many Gaussians a cut leaves, once it rests; null for none. */
+    /** Counts the Gaussians that a cut leaves, once the cut rests; null for none. */
     count(address) {
         if (address === this.counted) return;
         this.counted = address;
@@ -182,7 +182,7 @@ export class Filter {
     async ask(address) {
         const answer = await fetch(`count?${address}`).catch(() => null);
         if (address !== this.counted) return;
-        // Busy with exports: later.
+        // The program is busy with exports: asks again later.
         if (answer?.status === 503) this.timer = setTimeout(() => this.ask(address), 5 * REST_MS);
         if (!answer?.ok) return;
         const { kept, of } = await answer.json();
@@ -197,12 +197,12 @@ export class Filter {
             await navigator.clipboard.writeText(box.textContent);
             this.say('copied');
         } catch {
-            // Where the browser gives no clipboard, it is marked to be copied by hand.
+            // Without access to the clipboard, the command is selected so that the user can copy it.
             getSelection().selectAllChildren(box);
         }
     }
 
-    /** The file is made of what was shown last, and saved by the browser as it comes. */
+    /** Saves the scene as it was shown last. The browser writes the file while it arrives. */
     async save(format) {
         if (this.shown === null || !this.scene || this.scene.empty) return;
         const part = find('export-part').value;

@@ -1,9 +1,9 @@
-// Asking for frames and showing them: coarse while the view moves, sharp when it rests.
+// Requests and shows frames: coarse while the view moves, sharp when it rests.
 
-/** Time that a frame may take while the view moves, ms. */
+/** Frame time to reach while the view moves, ms. */
 const GOAL = 55;
 const SCALES = [1, 0.75, 0.5, 0.375, 0.25, 0.1875];
-/** The view rests when it has not changed for so long, ms. */
+/** The view rests after this time without a change, ms. */
 const REST = 140;
 const MOVING_QUALITY = 68;
 
@@ -19,7 +19,7 @@ export class Frames {
         this.shots = new Set();
         this.resolution = 1;
         this.quality = 92;
-        /** The photo whose light pictures are to have. */
+        /** The photo whose exposure and lens effects are applied, if any. */
         this.light = () => null;
         this.rate = [];
         this.onShown = () => {};
@@ -35,7 +35,7 @@ export class Frames {
         this.changedAt = performance.now();
     }
 
-    /** It has changed once, not little by little: a sharp frame at once. */
+    /** The view has jumped: the next frame is sharp. */
     leap() {
         this.dirty = this.sharp = false;
         this.changedAt = 0;
@@ -55,7 +55,7 @@ export class Frames {
         return seq;
     }
 
-    /** Once per animation frame. */
+    /** Runs once per animation frame. */
     tick(now, busy) {
         if (busy) this.changedAt = Math.max(this.changedAt, now - REST / 2);
         const rests = now - this.changedAt > REST;
@@ -82,11 +82,11 @@ export class Frames {
         this.rate.push(now);
         while (this.rate.length > 1 && (now - this.rate[0] > 2000 || this.rate.length > 40)) this.rate.shift();
         if (this.shots.delete(header.seq)) {
-            // The program draws a view again when the scene changes: not as a screenshot each time.
+            // Requests a usual sharp frame; otherwise the program would renew the screenshot, a PNG without selection.
             this.sharp = false;
             download(blob, `ashsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.png`);
         }
-        // A view that came after a screenshot's was rendered in its place.
+        // A newer view was rendered instead of a screenshot's, so the screenshot is requested again.
         const overtaken = [...this.shots].filter((seq) => seq < header.seq);
         if (overtaken.length) {
             overtaken.forEach((seq) => this.shots.delete(seq));
@@ -104,7 +104,7 @@ export class Frames {
         this.onShown(header);
     }
 
-    /** Frames that are late become smaller, and larger again when there is time. */
+    /** Adapts the size to the frame time: slow frames become smaller, fast ones larger again. */
     adapt(milliseconds, scale) {
         const level = SCALES.indexOf(scale);
         if (level < 0) return;
@@ -120,7 +120,7 @@ export class Frames {
     }
 }
 
-/** Has the browser save a blob, or what lies at an address. */
+/** Makes the browser save a blob, or the file at an address. */
 export function download(what, name) {
     const made = what instanceof Blob;
     const link = Object.assign(document.createElement('a'), { href: made ? URL.createObjectURL(what) : what, download: name });

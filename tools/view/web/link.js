@@ -1,4 +1,4 @@
-// The WebSocket: messages by type, frames, and coming back after it broke.
+// The WebSocket: messages by type, frames, and reconnection.
 
 const FIRST_DELAY = 250, LONGEST_DELAY = 4000;
 
@@ -51,7 +51,7 @@ export class Link {
         };
     }
 
-    /** Tells why the socket did not open. A handshake's answer is not shown to pages; that to a POST is. */
+    /** Says why the socket did not open: pages cannot read a handshake's answer, but that of a POST. */
     async explain() {
         const answer = await fetch(this.address, { method: 'POST' }).catch(() => null);
         const words = answer?.headers.get('Content-Type')?.startsWith('text/plain') && (await answer.text()).trim();
@@ -62,7 +62,7 @@ export class Link {
     frame(data) {
         const length = new DataView(data).getUint32(0, true);
         const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
-        // What is shown next may be rendered while this is decoded.
+        // The next frame may be rendered while this one is decoded.
         this.send({ type: 'ack' });
         this.emit('frame', header, new Blob([new Uint8Array(data, 4 + length)], { type: header.format }));
     }

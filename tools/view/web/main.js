@@ -38,7 +38,7 @@ const film = new Film(link, camera, look);
 const training = new Training(link);
 const stage = new Stage(link, say);
 let scene = null;
-/** View of the page's address, for the first scene alone. */
+/** View in the page's address; only the first scene uses it. */
 let linked = location.hash;
 /** Tools that draw with the pointer. */
 const STROKES = ['lasso', 'brush', 'sphere'];
@@ -85,7 +85,7 @@ find('home').onclick = home;
 find('shot').onclick = () => frames.screenshot();
 find('link').onclick = copyLink;
 find('help').onclick = listKeys;
-// An address that is entered in an open page.
+// A link was entered into the open page.
 addEventListener('hashchange', () => { if (scene && camera.takeLink(location.hash, scene.frame)) frames.leap(); });
 find('panel-toggle').onclick = togglePanel;
 find('fullscreen').hidden = !document.fullscreenEnabled;
@@ -101,7 +101,7 @@ function togglePanel() {
     cover();
 }
 
-/** Measures what tools and panel cover. Where they slide, their places are those at the end. */
+/** Measures what tools and panel cover. While they slide, their final places count. */
 function cover() {
     const [tools, side, title] = ['tools', 'panel', 'title'].map(find), wide = innerWidth > 760, bare = document.body.classList.contains('bare');
     const share = (pixels, all) => Math.min(0.7, Math.max(0, pixels / all));
@@ -119,7 +119,7 @@ function fullscreen() {
     else document.documentElement.requestFullscreen().catch((error) => say(`no whole screen: ${error.message}`));
 }
 
-/** The address of the page with this view; a token in it stays. */
+/** Copies the page's address with this view; a token stays in it. */
 async function copyLink() {
     if (!scene || scene.empty) return;
     history.replaceState(null, '', camera.link(scene.frame));
@@ -133,7 +133,7 @@ function listKeys() {
     find('keys').scrollTop = 0;
 }
 
-/** What opens the list of keys closes it. */
+/** Closes the list of keys with the key that opens it. */
 function covered(event) {
     if (event.key !== '?' || event.repeat || !find('keys').open) return false;
     find('keys').close();
@@ -177,7 +177,7 @@ function key(code, event) {
     return true;
 }
 
-/** With Ctrl. The letter counts, which layouts have on different keys; where they have none, its usual key. */
+/** Handles Ctrl with a key: the letter of the layout, or the usual key if the layout has no such letter. */
 function command(event) {
     const letter = (/^[a-z]$/i.test(event.key) ? event.key : event.code.slice(-1)).toLowerCase();
     const act = {
@@ -207,7 +207,7 @@ link.on('close', () => {
 link.on('page', ({ page }) => { photos.page = page; });
 link.on('scene', (message) => {
     const added = scene && message.joined === scene.run;
-    // Where pages open scenes, two of them may have one name.
+    // Pages can open two scenes of one name; `run` distinguishes them.
     const first = scene === null || scene.name !== message.name || (message.open && scene.run !== message.run);
     scene = message;
     find('scene-name').textContent = `\u200e${message.name}`;
@@ -223,12 +223,12 @@ link.on('scene', (message) => {
     filter.open(message, first);
     detail.open(message, first);
     edit.open(message);
-    // Beside an added scene, place and view stay.
+    // An added scene changes neither place nor view.
     place.open(message, first && !added);
     if (first && !added) tape.clear();
     training.open(message.training);
     if (first) {
-        // Frames that are on their way may be of the scene before.
+        // Frames on their way may still show the previous scene.
         frames.shownSeq = frames.seq + 1;
         overlay.cameras = message.cameras;
     }
@@ -255,7 +255,7 @@ frames.onShown = (header) => {
     window.ashsplat.shown = header;
 };
 
-/** Text in which what stands between backquotes is code. */
+/** Text with its parts between backquotes as code. */
 function marked(text) {
     return text.split('`').map((part, index) => {
         if (index % 2 === 0) return document.createTextNode(part);
@@ -263,7 +263,7 @@ function marked(text) {
     });
 }
 
-/** Says something for a while. */
+/** Shows a message for a while. */
 export function say(text) {
     const box = find('message');
     box.textContent = text;

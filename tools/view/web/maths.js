@@ -13,7 +13,7 @@ export function normalize(a, fallback = [0, 0, 1]) {
     return n > 1e-12 ? times(a, 1 / n) : fallback;
 }
 
-/** Any direction across `a`. */
+/** Some direction perpendicular to `a`. */
 export function across(a) {
     return normalize(cross(a, Math.abs(a[0]) < 0.6 ? [1, 0, 0] : [0, 1, 0]));
 }
@@ -32,7 +32,7 @@ export function looking(forward, up) {
     return [x, cross(z, x), z];
 }
 
-/** Rows made orthonormal again: turning them again and again adds up errors. */
+/** Makes rows orthonormal again, because repeated turns add up errors. */
 export function orthonormal([, y, z]) {
     const forward = normalize(z);
     const right = normalize(cross(y, forward), across(forward));

@@ -1,4 +1,4 @@
-// What lies over the picture: where the photos were taken, the pivot, the axes, the pixel that was picked.
+// Drawn over the picture: the photos' cameras, the pivot, the axes, the picked pixel.
 
 import { add, clamp, dot, times } from './maths.js';
 
@@ -35,7 +35,7 @@ export class Overlay {
         if (this.shape) this.stroke(this.shape);
     }
 
-    /** The tape, with its length in the middle. */
+    /** Draws the tape with its length in the middle. */
     measure({ points, text }, width, height) {
         const { context: c, camera } = this;
         const ends = points.map((point) => camera.project(point, width, height)).filter(Boolean);
@@ -59,7 +59,7 @@ export class Overlay {
         c.fillText(text, x, y + 0.5);
     }
 
-    /** A tool's shape while it is drawn: a lasso, a brush stroke of a radius, or a circle. */
+    /** Draws the shape of a tool in use: a lasso, a brush stroke with its radius, or a circle. */
     stroke({ points, circle, radius }) {
         const { context: c } = this;
         c.beginPath();
@@ -104,7 +104,7 @@ export class Overlay {
         this.spots.push({ index, x: middle[0], y: middle[1] });
     }
 
-    /** Lines of the scene, as far as they are in front of the camera. */
+    /** Draws lines of the scene, as far as they are in front of the camera. */
     lines(lines, width, height) {
         const { context: c, camera } = this, near = 1e-2 * camera.radius;
         c.beginPath();
@@ -122,7 +122,7 @@ export class Overlay {
         c.stroke();
     }
 
-    /** The box of the filter. */
+    /** Draws the box of the filter. */
     edges(box, width, height) {
         const { context: c, camera } = this;
         const corner = (bits) => camera.project([0, 1, 2].map((axis) => box[bits >> axis & 1][axis]), width, height);
@@ -137,7 +137,7 @@ export class Overlay {
         c.stroke();
     }
 
-    /** The photo whose sign is at a place, or -1. */
+    /** The photo whose mark is near a pixel, or -1. */
     cameraAt(x, y) {
         const near = this.spots.map((s) => ({ ...s, far: Math.hypot(s.x - x, s.y - y) })).filter((s) => s.far < 16);
         return near.sort((a, b) => a.far - b.far)[0]?.index ?? -1;
@@ -145,7 +145,7 @@ export class Overlay {
 
     axes(width, height) {
         const { context: c, camera } = this;
-        // Beside the tools and above the legend, where these take the corner.
+        // The axes lie beside the tools and above the legend on screens where these take the corner.
         const low = height <= 780 && width > 760;
         const [x0, y0, arm] = [low ? 176 : 52, height - (low ? 136 : 92), 30];
         const drawn = AXES.map(([name, color], i) => ({ name, color, to: camera.rotation.map((row) => dot(row, this.axis[i])) }));

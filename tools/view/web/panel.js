@@ -1,7 +1,7 @@
 // The tools on the left, the appearance on the right, the line at the bottom.
 
 const find = (id) => document.getElementById(id);
-/** Tools of the pointer, of which one at most is on. */
+/** Tools of the pointer; at most one is on. */
 const TOOLS = ['inspect', 'lasso', 'brush', 'sphere', 'tape', 'level'];
 const UNITS = { depth: 'depth, scene units', tiles: 'Gaussians per tile' };
 

@@ -1,4 +1,4 @@
-// The data set's photos: a jump to where one was taken, and the photo over the render, wiped.
+// The data set's photos: jumping to a photo's camera, and comparing photo and render with a wipe.
 
 const find = (id) => document.getElementById(id);
 
@@ -44,7 +44,7 @@ export class Photos {
         }));
     }
 
-    /** The run's name: of another scene they are others. The page's number: each page has its turn. */
+    /** `run` distinguishes scenes whose photos share numbers; `page` lets the server give each page its turn. */
     address(kind, index) { return `${kind}/${index}?run=${this.run}&page=${this.page}`; }
 
     step(by) {
@@ -69,24 +69,24 @@ export class Photos {
         this.follow();
     }
 
-    /** The photo whose light the picture is to have: that of the view, while it is exactly its own; none else. */
+    /** The photo whose exposure and lens effects apply: only while the view is exactly the photo's. */
     get light() {
         const entry = this.camera.lens === null ? null : this.entries[this.current];
         return entry?.lit && find('photo-light').checked ? this.current : null;
     }
 
-    /** Draws as photographed, or not any more, where any photo's light is known. */
+    /** Switches exposures and lens effects, if any photo's are known. */
     toggleLight() {
         if (!find('photo-lit').hidden) find('photo-light').click();
     }
 
-    /** A frame was shown, or none can be: the first one since the jump has the photo's view. */
+    /** A frame was shown, or none can be. The first frame after a jump has the photo's view. */
     drawn({ seq }) {
         if (seq > this.drawnBefore) this.drawnBefore = Infinity;
         this.follow();
     }
 
-    /** The photo is there as long as the view is exactly its own, and once both pictures have come. */
+    /** Shows the photo while the view is exactly the photo's, once photo and frame have arrived. */
     follow() {
         const visible = this.shown && this.camera.lens !== null;
         const waits = this.loading || this.drawnBefore < Infinity;

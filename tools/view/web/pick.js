@@ -31,7 +31,7 @@ export class Picker {
         this.ask(x, y, (answer) => this.show(answer));
     }
 
-    /** Turns around what is at a place. */
+    /** Makes the point at a pixel the pivot. */
     pivot(x, y) {
         const { camera } = this;
         this.ask(x, y, ({ point }) => {

@@ -8,10 +8,10 @@ const DEGREE = Math.PI / 180;
 const AXES = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
 const apply = (rows, v) => rows.map((row) => dot(row, v));
 const transposed = (rows) => [0, 1, 2].map((i) => rows.map((row) => row[i]));
-/** So many digits that a distant scene keeps its millimetres; command and file are those of the fields. */
+/** Rounds to the digits of the fields, so that even a distant scene keeps its millimetres. */
 export const rounded = (value) => Number(value.toPrecision(12));
 
-/** The rotation about x, then y, then z by angles in degrees, as `convert --rotate` has it. */
+/** Rotation about x, then y, then z by angles in degrees, like `convert --rotate`. */
 function rotation(angles) {
     const about = (v) => angles.reduce((v, angle, axis) => turn(v, AXES[axis], angle * DEGREE), v);
     return transposed(AXES.map(about));
@@ -50,7 +50,7 @@ export class Place {
         Object.assign(this, { turn: [0, 0, 0], scale: [1], move: [0, 0, 0], rows: AXES });
     }
 
-    /** What the fields say, if all are numbers. */
+    /** Values of the fields; none unless all are numbers. */
     read() {
         const values = Object.fromEntries(Object.entries(this.inputs).map(([kind, inputs]) => [kind, inputs.map((input) => rounded(Number(input.value)))]));
         const sound = Object.values(values).flat().every(Number.isFinite) && values.scale[0] > 0;
@@ -58,7 +58,7 @@ export class Place {
         this.set(sound ? values : {});
     }
 
-    /** Takes other values. The view goes with the grid, so that the scene turns and moves in it; a scale changes the grid. */
+    /** Takes new values. The view stays fixed to the grid, so that the scene moves; a scale changes the grid instead. */
     set(values) {
         const { camera } = this, before = { ...this, scale: values.scale ?? this.scale };
         Object.assign(this, values, { rows: rotation(values.turn ?? this.turn) });
@@ -71,7 +71,7 @@ export class Place {
         this.show();
     }
 
-    /** Coordinates of the scene in the new axes, and back. */
+    /** Converts the scene's coordinates to the new axes, and back. */
     inAxes(place) {
         const source = add(this.frame.origin, times(place, this.frame.unit));
         return add(times(apply(this.rows, source), this.scale[0]), this.move);
@@ -89,7 +89,7 @@ export class Place {
         return times(AXES[axis], Math.sign(up[axis]) || 1);
     }
 
-    /** Clicks on the floor: three of them level the scene, with the floor at height 0. */
+    /** Takes clicks on the floor; three of them level the scene, with the floor at height 0. */
     click(x, y) {
         this.picker.ask(x, y, ({ point }) => {
             if (!point) return this.say('nothing is there: click the floor');
@@ -119,7 +119,7 @@ export class Place {
 
     get isIdentity() { return ![...this.turn, ...this.move].some(Boolean) && this.scale[0] === 1; }
 
-    /** Options of `ashsplat convert`, and the same in an address. */
+    /** Options of `ashsplat convert`, or the same for an address. */
     get options() {
         return this.said(([name, value]) => ` --${name}=${value}`);
     }

@@ -1,13 +1,13 @@
-// What the stage says while there is no picture, and how files get onto it: dropped, chosen, or by a path.
+// Messages while there is no picture, and files to open: dropped, chosen, or by a path.
 
 const find = (id) => document.getElementById(id);
-/** What takes longer than this is told with its time, ms. */
+/** Work that takes longer than this is shown with its time, ms. */
 const LONG = 1500;
-/** Pause in typing after which a path is completed, ms. */
+/** Pause in typing after which paths are suggested, ms. */
 const PAUSE = 150;
 
 export class Stage {
-    /** `say` tells people something. */
+    /** `say` shows a message to the user. */
     constructor(link, say) {
         Object.assign(this, { link, say, text: 'connecting', since: performance.now(), failed: false, pictured: false, waits: true, opens: null, others: [] });
         setInterval(() => this.show(), 500);
@@ -28,7 +28,7 @@ export class Stage {
             find('choose-file').value = '';
             this.sendAll(files, false);
         };
-        // What went wrong stays until it is read.
+        // An error stays until the user closes it.
         find('stage-state').onclick = () => { if (this.closes) this.rest(); };
         this.listen();
         this.show();
@@ -50,7 +50,7 @@ export class Stage {
         });
     }
 
-    /** A scene is there; its first picture is not. */
+    /** A scene has opened; its first picture has not arrived. */
     open(scene) {
         this.opens = scene.open ?? null;
         const [next, ...others] = scene.empty || scene.run === this.run ? [] : this.others;
@@ -68,14 +68,14 @@ export class Stage {
             this.complete();
             this.list(scene.name);
         }
-        // A connection that came back has its picture still.
+        // After a reconnection to the same scene, its picture is still shown.
         this.pictured &&= scene.run === this.run;
         this.run = scene.run;
         if (scene.empty || this.pictured) this.rest();
         else this.wait('waiting for the first picture');
     }
 
-    /** A picture is there. */
+    /** A picture has arrived. */
     picture() {
         if (this.pictured) return;
         this.pictured = true;
@@ -114,7 +114,7 @@ export class Stage {
         find('stage-progress').querySelector('i').style.width = `${100 * (share ?? 0)}%`;
     }
 
-    /** Whether pages may open anything here; says why not. */
+    /** True if pages may open scenes here; otherwise says why not. */
     mayOpen() {
         if (!this.opens) this.say('this viewer shows what it was started with; start `ashsplat view` without a path to open others');
         return Boolean(this.opens);
@@ -124,7 +124,7 @@ export class Stage {
         if (this.mayOpen()) find('choose-file').click();
     }
 
-    /** Several files are scenes side by side; `add`: beside those that are open. Each is sent when the one before is there. */
+    /** Sends files one after another, as scenes side by side; `add` keeps those that are open. */
     sendAll([file, ...rest], add) {
         if (!file) return;
         this.others = rest;
@@ -135,7 +135,7 @@ export class Stage {
         if (!this.mayOpen()) return;
         if (!this.opens.formats.some((format) => file.name.toLowerCase().endsWith(format))) return this.say(`${file.name} is none of ${this.opens.formats.join(', ')}`);
         if (file.size > this.opens.bytes) return this.say(`${file.name} has ${size(file.size)}; reading may take ${size(this.opens.bytes)} here (--max-host-memory)`);
-        // fetch() does not say how far it is.
+        // fetch() reports no progress of an upload.
         const request = new XMLHttpRequest();
         request.open('POST', `upload/${encodeURIComponent(file.name)}${add ? '?add=1' : ''}`);
         request.setRequestHeader('Content-Type', 'application/octet-stream');
@@ -146,7 +146,7 @@ export class Stage {
         request.send(file);
     }
 
-    /** Paths that go on from the beginning of one; `more` if there are others. */
+    /** Paths that start with `begin`; `more` if there are others. */
     async paths(begin) {
         const answer = this.opens?.folder ? await post('paths', begin).catch(() => null) : null;
         return answer?.ok ? answer.json() : { paths: [], more: false };
@@ -158,7 +158,7 @@ export class Stage {
         if (begin === find('path').value) find('paths').replaceChildren(...paths.map((path) => new Option('', path)));
     }
 
-    /** The files of the folder, if it is one of scenes. */
+    /** Lists the files of the folder, if it has scenes. */
     async list(shown) {
         const { paths, more } = await this.paths(''), files = paths.filter((path) => !path.endsWith('/'));
         for (const place of document.querySelectorAll('.scenes')) {
@@ -183,7 +183,7 @@ export class Stage {
         }
     }
 
-    /** When it is taken, the program says by itself how it goes on. */
+    /** Shows a refusal. If the program accepts, it reports progress itself. */
     answered(status, text) {
         if (status === 202) return;
         this.fail(text.trim().replace(/^\d+: /, '') || `refused (${status})`);

@@ -30,7 +30,7 @@ export class Tape {
         this.show();
     }
 
-    /** Between the points, in the units of the placed scene; null without two. */
+    /** Distance of the two points, in units of the placed scene; null without both. */
     get measured() {
         const [a, b] = this.points;
         return b ? length(sub(b, a)) * this.place.frame.unit * this.place.scale[0] : null;

@@ -7,7 +7,7 @@ const CURVES = [
     { name: 'gaussians', title: 'Gaussians', digits: 0, color: '#58a6ff', zero: true },
     { name: 'rate', title: 'Iterations per second', digits: 1, color: '#bc8cff', zero: true }
 ];
-/** Between two questions, ms. */
+/** Interval between two status requests, ms. */
 const INTERVAL = 500;
 
 export class Training {

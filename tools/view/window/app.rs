@@ -27,7 +27,7 @@ const NOT_READY: Duration = Duration::from_millis(30);
 /// Distance at which the pointer grasps the line between photo and render, logical pixels.
 const GRASP: f64 = 8.0;
 
-/// The window. Fields drop in this order: the stage before what shows it.
+/// The window. Fields drop in this order: the stage before the objects that present it.
 pub struct App {
     stage: Option<Stage>,
     present: Option<Present>,

@@ -34,7 +34,7 @@ struct Pending {
     slot: u32,
     due: Due,
     begun: Instant,
-    /// Time that its picture took before submission, ms.
+    /// Time that the processor took for the picture before submission, ms.
     before: f64,
     splats: bool,
     /// True if it was drawn only to show the previous frame's figures.

@@ -25,7 +25,7 @@ fn seeds() {
         }
     }
     for level in 0..3 {
-        // Two Gaussians of degree 1, in a bucket of their own; what follows the headers is the same number again and again.
+        // Two Gaussians of degree 1 in a bucket of their own; one number repeats after the headers.
         let mut ksplat = vec![0; 1 + 4096 + 1024];
         ksplat[0] = NAMES.len() as u8 - 2;
         for (at, value) in [(1, 1), (4, 1), (8, 1), (12, 2), (16, 2), (20, level)] {

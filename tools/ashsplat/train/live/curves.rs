@@ -22,7 +22,7 @@ pub struct Curves {
     paused: bool,
     /// Iterations between two points of the regular curves.
     stride: u32,
-    /// Iteration of the last thinning. Pages that know less get all points again.
+    /// Iteration of the last thinning. Pages with older data receive all points again.
     thinned_at: u32,
     loss: Curve,
     psnr: Curve,
@@ -53,7 +53,6 @@ impl Curves {
         }
     }
 
-    /// Adds an iteration.
     pub fn step(&mut self, report: &StepReport) {
         if self.iteration == 0 {
             self.window = (Instant::now(), report.iteration - 1);
@@ -74,7 +73,6 @@ impl Curves {
         self.thin();
     }
 
-    /// Adds a measured PSNR.
     pub fn psnr(&mut self, iteration: u32, psnr: f64) {
         if psnr.is_finite() {
             self.psnr.push((iteration, psnr));
