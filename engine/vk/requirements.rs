@@ -152,8 +152,6 @@ pub struct Requirements {
     pub optional_extensions: Vec<Optional<&'static CStr>>,
     /// Optional instance extensions.
     pub optional_instance_extensions: Vec<Optional<&'static CStr>>,
-    /// Subgroup operations in compute shaders.
-    pub subgroup_operations: vk::SubgroupFeatureFlags,
     /// Smallest allowed values of limits, by their Vulkan names.
     pub limits: Vec<(&'static str, u64)>,
 }
@@ -169,7 +167,6 @@ impl Requirements {
     }
 
     pub(super) fn of_all() -> Self {
-        let all = |all: vk::SubgroupFeatureFlags, (flag, _): &_| all | *flag;
         let optional = |name, without| Optional { name, without };
         let uniform = ash::khr::shader_subgroup_uniform_control_flow::NAME;
         Self {
@@ -187,7 +184,6 @@ impl Requirements {
                 ash::ext::debug_utils::NAME,
                 "no names and labels in debuggers",
             )],
-            subgroup_operations: SUBGROUP_OPERATIONS.iter().fold(Default::default(), all),
             limits: LEAST_LIMITS.to_vec(),
         }
     }
