@@ -216,7 +216,7 @@ fn a_resumed_block_ends_with_the_same_bits() {
     for (other, said) in [
         (None, "the whole scene is trained"),
         (Some(moved), "other Gaussians around the block"),
-        (Some(wider), "was made for the block -inf,-1.2,-inf,0.2,1.3,9, here it is -inf,"),
+        (Some(wider), "was made for the block -inf,-1.2,-inf,0.2,1.3,9, here the block -inf,"),
     ] {
         let refused = |run: &Run| refusal(run.try_resume(&checkpoint));
         assert_says(with_run(context(), &initial, other.as_ref(), &settings, refused), &[said]);

@@ -421,13 +421,15 @@ impl Checkpoint {
         let exposures_fit = self.exposures.sets().iter().all(|set| set.len() as u64 == exposures);
         let degree_fits = self.gaussians.sh_degree == self.settings.sh_degree;
         let of_gaussians = "are of another number than the Gaussians";
+        let [exposed, lensed] =
+            [exposures, most].map(|count| format!("are not those of {count} photographs"));
         let checks = [
             (storage == self.settings.moments, "moments", "are stored otherwise than the settings say"),
             (moments_fit, "moments", of_gaussians),
             (self.statistics.len() == gaussians, "statistics", of_gaussians),
             (self.filters.len() == filters, Self::FILTERS, of_gaussians),
-            (exposures_fit, "exposures", "are not those of the photographs"),
-            (lenses_fit, "lenses", "are not those of the photographs"),
+            (exposures_fit, "exposures", &exposed),
+            (lenses_fit, "lenses", &lensed),
             (self.poses.as_ref().is_none_or(poses_fit), "poses", "are of another number than the views"),
             (degree_fits, "sh_degree", "of the Gaussians and of the settings differ"),
         ];
