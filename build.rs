@@ -162,11 +162,10 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
     }
     let shader = Source { glsl, out, path, display, text: &source, hash: hasher.finish(), validator };
     let flat = name.replace('/', "__");
-    let (spirv_file, plain) = shader.form(&flat, "")?;
-    let (texels, lenses) = (has_texel_form(&files), has_lens_form(&files));
-    let others = [(texels, false), (false, lenses), (texels && lenses, lenses)];
+    let (has_texels, has_lenses) = (has_texel_form(&files), has_lens_form(&files));
+    let all = [(false, false), (true, false), (false, true), (true, true)];
     let mut forms = Vec::new();
-    for (texels, lenses) in others.into_iter().filter(|(texels, lenses)| *texels || *lenses) {
+    for (texels, lenses) in all.into_iter().filter(|form| form.0 <= has_texels && form.1 <= has_lenses) {
         let [(texel_name, texel_macro), (lens_name, lens_macro)] =
             [(texels, ("__texels", TEXELS)), (lenses, ("__lenses", LENSES))]
                 .map(|(has, form)| if has { form } else { ("", "") });
@@ -174,7 +173,7 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
         let (spirv_file, shader) = shader.form(&name, &format!("{texel_macro}{lens_macro}"))?;
         forms.push(generate::Form { texels, lenses, spirv_file, shader });
     }
-    Ok(generate::Kernel { name, source, shader: plain, spirv_file, forms })
+    Ok(generate::Kernel { name, source, forms })
 }
 
 /// Source of a shader.

@@ -2,6 +2,7 @@
 //!
 //! Every message is one line that names the file or object, the place in it, what is wrong, and what to do.
 
+use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
 
 /// `Result` with [`Error`].
@@ -49,7 +50,7 @@ pub enum Error {
         problem: String,
     },
     /// There is no Vulkan loader on this machine.
-    #[error("no Vulkan loader found ({reason}); {INSTALL_VULKAN}")]
+    #[error("no Vulkan loader found ({}); {INSTALL_VULKAN}", OneLine(reason))]
     NoLoader {
         /// The system's reason.
         reason: String,
@@ -125,16 +126,16 @@ pub enum Error {
 /// Displays text in one line: each control character, such as a line break in a quoted name, becomes a space.
 struct OneLine<T>(T);
 
-impl<T: std::fmt::Display> std::fmt::Display for OneLine<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl<T: Display> Display for OneLine<T> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
         f.write_str(&self.0.to_string().replace(char::is_control, " "))
     }
 }
 
 struct Remedy<'a>(&'a str);
 
-impl std::fmt::Display for Remedy<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl Display for Remedy<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
         if self.0.is_empty() { Ok(()) } else { write!(f, "; {}", OneLine(self.0)) }
     }
 }
@@ -157,11 +158,11 @@ impl Error {
 
     /// Renames the argument to the caller's name for it.
     #[must_use]
-    pub(crate) fn of(self, name: impl Into<String>) -> Self {
-        match self {
-            Self::Argument { problem, .. } => Self::argument(name, problem),
-            other => other,
+    pub(crate) fn of(mut self, name: impl Into<String>) -> Self {
+        if let Self::Argument { what, .. } = &mut self {
+            *what = name.into();
         }
+        self
     }
 
     /// Returns [`Error::TooLarge`] with the amount and its unit, and the limit and its name.
@@ -175,22 +176,20 @@ impl Error {
 
     /// Names the setting, or the frame, that caused an [`Error::TooLarge`].
     #[must_use]
-    pub(crate) fn of_field(self, field: impl std::fmt::Display) -> Self {
-        match self {
-            Self::TooLarge { what, needed, unit, limit, limit_name } => {
-                Self::TooLarge { what: format!("{field}: {what}"), needed, unit, limit, limit_name }
-            }
-            other => other,
+    pub(crate) fn of_field(mut self, field: impl Display) -> Self {
+        if let Self::TooLarge { what, .. } = &mut self {
+            *what = format!("{field}: {what}");
         }
+        self
     }
 
     /// Prefixes the argument with the name of the outer argument that contains it.
     #[must_use]
-    pub(crate) fn within(self, outer: impl std::fmt::Display) -> Self {
-        match self {
-            Self::Argument { what, problem } => Self::Argument { what: format!("{outer}.{what}"), problem },
-            other => other,
+    pub(crate) fn within(mut self, outer: impl Display) -> Self {
+        if let Self::Argument { what, .. } = &mut self {
+            *what = format!("{outer}.{what}");
         }
+        self
     }
 }
 

@@ -27,18 +27,14 @@ pub mod reload;
 
 #[cfg(test)]
 mod tests {
-    use super::generate::{Kernel, kernels};
+    use super::generate::{Form, Kernel, kernels};
     use super::reflect::{BindingKind, reflect};
     use crate::vk::KernelInterface;
 
     fn kernel<K: KernelInterface>() -> Kernel {
-        Kernel {
-            name: K::NAME.into(),
-            source: String::new(),
-            shader: reflect(K::SPIRV).expect("valid SPIR-V"),
-            spirv_file: "spirv.rs".into(),
-            forms: Vec::new(),
-        }
+        let shader = reflect(K::FORMS[0].spirv).expect("valid SPIR-V");
+        let form = Form { texels: false, lenses: false, shader, spirv_file: "spirv.rs".into() };
+        Kernel { name: K::NAME.into(), source: String::new(), forms: vec![form] }
     }
 
     #[test]
@@ -46,7 +42,7 @@ mod tests {
         let mut all =
             [kernel::<super::forward::cull::Interface>(), kernel::<super::forward::project::Interface>()];
         assert!(kernels(&all, "").is_ok());
-        let binding = all[1].shader.bindings.last_mut().expect("buffers");
+        let binding = all[1].forms[0].shader.bindings.last_mut().expect("buffers");
         let BindingKind::Uniform(block) = &mut binding.kind else { panic!("{binding:?}") };
         block.members.pop();
         let error = kernels(&all, "").expect_err("two blocks of one name");
@@ -57,13 +53,13 @@ mod tests {
     fn what_is_no_spirv_is_refused() {
         assert!(reflect(&[]).is_err());
         assert!(reflect(&[1, 2, 3, 4, 5]).is_err());
-        let spirv = super::scan::scan_reduce::Interface::SPIRV;
+        let spirv = super::scan::scan_reduce::Interface::FORMS[0].spirv;
         assert!(reflect(&spirv[..6]).expect_err("cut").contains("truncated"));
     }
 
     #[test]
     fn subgroup_operations_need_a_pinned_size() {
-        let mut spirv = super::scan::scan_reduce::Interface::SPIRV.to_vec();
+        let mut spirv = super::scan::scan_reduce::Interface::FORMS[0].spirv.to_vec();
         let decorates = |w: &[u32]| w[0] == (4 << 16 | 71) && w[2..] == [1, 1];
         let at = spirv.windows(4).position(decorates).expect("OpDecorate SpecId 1");
         spirv[at + 2] = 0;
@@ -73,7 +69,7 @@ mod tests {
     #[test]
     fn two_buffers_of_one_name_are_refused() {
         let mut twice = kernel::<super::scan::scan_reduce::Interface>();
-        twice.shader.bindings[1].name = "counts".into();
+        twice.forms[0].shader.bindings[1].name = "counts".into();
         let error = kernels(&[twice], "").expect_err("a duplicate");
         assert!(error.contains("glsl/scan/scan_reduce.comp") && error.contains("'counts'"), "{error}");
     }

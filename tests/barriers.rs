@@ -59,8 +59,9 @@ impl Training {
         let start = gaussians(&small_scene(&mut Random::new(1), 1200, 4));
         let scene = planes::upload(&context, "scene", &start, 1200, SH_DEGREE).expect("a scene");
         assert!(scene.plan.chunks > 1, "the parameters are to lie in several buffers");
-        let planes_of =
-            |arena: &str| planes::allocate(&context, arena, MemoryKind::Device, &scene.plan).expect("planes");
+        let planes_of = |arena: &'static str| {
+            planes::allocate(&context, arena, MemoryKind::Device, &scene.plan).expect("planes")
+        };
         let capacity = FrameCapacity {
             gaussians: 1200,
             visible: 1200,
@@ -210,11 +211,7 @@ fn barriers_are_complete_and_none_is_superfluous() {
 fn barriers_satisfy_synchronization_validation() {
     let training = Training::new();
     for kind in KINDS {
-        let record = |recorder: &mut Recorder| {
-            training.record(recorder, kind);
-            Ok(())
-        };
-        training.context.run("training step", record).expect("a step");
+        training.context.run("training step", |recorder| training.record(recorder, kind)).expect("a step");
     }
     assert_silent(&training.context);
 }

@@ -177,7 +177,6 @@ fn determinism_audit_holds_a_few_outputs_at_a_time() {
                 r.barrier();
                 r.fill(&buffers[0], 100 + round % 5);
             }
-            Ok(())
         })
     };
     let read = || context.download(&buffers[1]).expect("read");

@@ -230,9 +230,10 @@ fn taken(shown: &[Photo]) -> Vec<Photo> {
 /// Returns the mean PSNR of the held-out views against their photographs, and the effects of both cameras.
 fn train_lenses(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<LensEffects>) {
     let all: Vec<usize> = (0..taken.len()).filter(|view| !HELD_OUT.contains(view)).collect();
-    let views = all
-        .iter()
-        .map(|&view| TrainView::new(cameras()[view], taken[view].clone()).taken_by(camera_of(view)));
+    let views = all.iter().map(|&view| TrainView {
+        camera_id: camera_of(view),
+        ..TrainView::new(cameras()[view], taken[view].clone())
+    });
     let settings = TrainSettings { lens_effects, ..settings() };
     let mut trainer = Run::new(gpu.context, views.collect(), settings).starting_at(&gray(1)).begin();
     assert!(trainer.finish().iter().all(|report| report.loss.is_finite()));
@@ -309,7 +310,7 @@ fn lens_effects_resume_to_the_bit() {
 #[test]
 fn lens_effects_stay_none_unless_asked_for() {
     let run = |camera_id: u32| {
-        let views = views(3, 40).into_iter().map(|view| view.taken_by(camera_id)).collect();
+        let views = views(3, 40).into_iter().map(|view| TrainView { camera_id, ..view }).collect();
         let mut trainer = Run::shared(views, small_settings()).begin();
         trainer.steps(20);
         assert!(trainer.lens_effects().expect("none").is_empty());

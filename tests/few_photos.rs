@@ -19,7 +19,7 @@ pub fn few() -> Vec<TrainView> {
     };
     let with = |(index, view): (u32, TrainView)| match index {
         1 => view,
-        _ => view.with_depth_points(Some(points(index).into())),
+        _ => TrainView { depth_points: Some(points(index).into()), ..view },
     };
     (0..).zip(views(3, 40)).map(with).collect()
 }
@@ -47,7 +47,7 @@ pub fn mapped() -> Vec<TrainView> {
         |view: u32| (0..40 * 30).map(|k| 0.2 + 0.001 * ((k * (view + 3)) % 97) as f32).collect::<Vec<f32>>();
     let with = |(index, view): (u32, TrainView)| match index {
         1 => view,
-        _ => view.with_inverse_depth(Some(map(index).into())),
+        _ => TrainView { inverse_depth: Some(map(index).into()), ..view },
     };
     (0..).zip(views(3, 40)).map(with).collect()
 }
@@ -137,7 +137,7 @@ fn few_photos_refuse_what_contradicts() {
         assert!(message.starts_with(start) && message.contains(word), "{message}");
     };
     refused(views(3, 40), settings(), "depth_points: ", "none");
-    let map = |view: TrainView| view.with_inverse_depth(Some(vec![0.5; 40 * 30].into()));
+    let map = |view: TrainView| TrainView { inverse_depth: Some(vec![0.5; 40 * 30].into()), ..view };
     refused(few().into_iter().map(map).collect(), settings(), "depth_points: ", "-d");
     let mut outside = few();
     outside[2].depth_points = Some(vec![DepthPoint { position_px: [39.5, 3.0], inverse_z: 1.0 }].into());

@@ -7,9 +7,10 @@ use ashsplat::frame::LaunchSizes;
 use ashsplat::passes::densify::{
     Candidates, Chances, Densify, DensifyForm, Importance, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs,
 };
-use ashsplat::passes::loss::{LossTerm, PixelLayout, TermData, TermInputs};
+use ashsplat::passes::loss::{LossTerm, TermData, TermInputs};
+use ashsplat::passes::pixels::LayoutConverter;
 use ashsplat::scene::StoredPhoto;
-use ashsplat::train::strategy::{Changes, Hooks, Statistic, StepInputs, Work};
+use ashsplat::train::strategy::{Changes, StepInputs, Work};
 use ashsplat::train::{Actions, Densified, Population, Regularizers, Strategy, TrainParts};
 use ashsplat::vk::{Buffer, Recorder};
 use std::sync::{Arc, Mutex};
@@ -37,18 +38,6 @@ impl Strategy for RandomPrune {
 
     fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
         Work { accumulates: true, ..optimizing(PRUNE.when(iteration.is_multiple_of(4))) }
-    }
-
-    fn statistics(&self) -> Vec<Statistic> {
-        vec![Statistic { name: "iteration", floats: 3 }]
-    }
-
-    fn records(&self) -> Hooks {
-        Hooks { statistics: true, update: true }
-    }
-
-    fn record_statistics(&self, r: &mut Recorder, step: &StepInputs) {
-        r.fill(&step.statistics[1], (step.iteration as f32).to_bits());
     }
 
     fn record_update(&self, _: &mut Recorder, step: &StepInputs) {
@@ -115,9 +104,7 @@ fn a_strategy_of_a_host_prunes_and_resumes_to_the_bit() {
         }
     }
     let end = trainer.state();
-    let own = &end.strategy.statistics[0];
-    assert_eq!((own.name.as_str(), own.floats, own.values.len()), ("iteration", 3, 3 * count as usize));
-    assert!(own.values.iter().all(|&value| value == 20.0));
+    assert_eq!(end.gaussians.len(), count as usize);
     let middle = middle.expect("a checkpoint");
     assert_eq!(middle.due, PRUNE);
     assert!(middle.strategy.values[0].1.parse::<u32>().expect("a number") > 0);
@@ -221,7 +208,8 @@ fn regularizers_lower_opacities_and_scales() {
 
 /// A term with a constant gradient of the inverse depth.
 struct Nearer {
-    /// Gradient of each pixel: zero for the colour, a constant for the inverse depth.
+    layout: Arc<LayoutConverter>,
+    /// Gradient of each pixel, by rows: zero for the colour, a constant for the inverse depth.
     gradient: Buffer,
 }
 
@@ -231,7 +219,7 @@ impl LossTerm for Nearer {
     }
 
     fn data(&self) -> TermData {
-        TermData { picture: Some(PixelLayout::Rows), inverse_depth: true, ..TermData::default() }
+        TermData { picture: true, inverse_depth: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -239,7 +227,7 @@ impl LossTerm for Nearer {
     }
 
     fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
-        r.copy(&self.gradient, &inputs.image_gradient.range(0, self.gradient.bytes()));
+        self.layout.record_gradient(r, inputs.frame, &self.gradient, inputs.image_gradient, true);
         r.fill(&inputs.losses.range(16 * u64::from(inputs.row), 16), 0);
     }
 }
@@ -258,6 +246,7 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
     for options in contexts {
         let context = Context::new(&options).expect("a device");
         let camera = camera(&wide);
+        let layout = Arc::new(LayoutConverter::new(&context).expect("kernels"));
         let moved = |value: f32| {
             let pixels = (camera.width * camera.height) as usize;
             let requests = [("gradient", 16 * pixels as u64)];
@@ -265,7 +254,8 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
             let texels = vec![[0.0, 0.0, 0.0, value]; pixels];
             context.upload(&gradient, bytemuck::cast_slice(&texels)).expect("uploaded");
             let settings = TrainSettings { sh_degree: 0, ..settings() };
-            let parts = || with_term(&context, &settings, Nearer { gradient: gradient.clone() });
+            let nearer = || Nearer { layout: layout.clone(), gradient: gradient.clone() };
+            let parts = || with_term(&context, &settings, nearer());
             // The same photometric gradient in both runs, and far smaller than the term's.
             let photo = Photo { width: camera.width, height: camera.height, rgb: vec![0; 3 * pixels] };
             let run = Run::new(&context, vec![TrainView::new(camera, photo)], settings.clone());
@@ -289,6 +279,7 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
 
 #[derive(Clone)]
 struct Probe {
+    layout: Arc<LayoutConverter>,
     picture: Buffer,
     photo: Buffer,
 }
@@ -299,7 +290,7 @@ impl LossTerm for Probe {
     }
 
     fn data(&self) -> TermData {
-        TermData { picture: Some(PixelLayout::Rows), ..TermData::default() }
+        TermData { picture: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -309,13 +300,14 @@ impl LossTerm for Probe {
 
     fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
         assert_eq!((inputs.scratch.len(), inputs.row), (1, 1));
-        r.copy(&inputs.picture.range(0, self.picture.bytes()), &self.picture);
-        r.copy(&inputs.photo.range(0, self.photo.bytes()), &self.photo);
+        self.layout.record_picture(r, inputs.frame, &self.picture);
+        let size = (inputs.frame.camera.width, inputs.frame.camera.height);
+        self.layout.record_photo(r, size, inputs.photo_is_masked, inputs.photo, &self.photo);
         r.fill(&inputs.losses.range(16, 16), 0);
     }
 }
 
-/// Pictures and photographs have one layout for a host's terms, and such a term without a gradient changes nothing.
+/// A host's term gets pictures and photographs by rows from a converter, and such a term without a gradient changes nothing.
 #[test]
 fn a_term_by_rows_sees_the_picture_and_the_photograph() {
     let view = View { background: [0.0; 3], ..small_view([67, 41]) };
@@ -333,7 +325,8 @@ fn a_term_by_rows_sees_the_picture_and_the_photograph() {
         let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let (picture, photo) = (&buffers[0], &buffers[1]);
         let settings = TrainSettings { white_background: true, ..settings() };
-        let probe = Probe { picture: picture.clone(), photo: photo.clone() };
+        let layout = Arc::new(LayoutConverter::new(&context).expect("kernels"));
+        let probe = Probe { layout, picture: picture.clone(), photo: photo.clone() };
         let probed = || with_term(&context, &settings, probe.clone());
         let train = |parts: Option<&dyn Fn() -> TrainParts>| {
             let run = Run::new(&context, vec![TrainView::new(camera, stored.clone())], settings.clone());
@@ -395,10 +388,6 @@ impl Strategy for Watching {
         Work { accumulates: iteration % 7 != 3, ..optimizing(actions) }
     }
 
-    fn statistics(&self) -> Vec<Statistic> {
-        vec![Statistic { name: "other", floats: 2 }]
-    }
-
     fn absolute_gradients(&self) -> bool {
         self.absolute
     }
@@ -426,15 +415,12 @@ impl Strategy for Watching {
         let draw = UniqueDrawInputs {
             count: before,
             wanted: REMOVED,
-            candidates: Candidates { statistics: &statistics[0], threshold: 0.0 },
+            candidates: Candidates { statistics, threshold: 0.0 },
             chances: Chances::Importance(&values),
             seed: population.settings().seed,
             iteration: population.iteration(),
         };
-        context.run("select", |r| {
-            unique_draw.record(r, &draw, &buffers);
-            Ok(())
-        })?;
+        context.run("select", |r| unique_draw.record(r, &draw, &buffers))?;
         let bytes = context.download(&buffers.selected.range(0, u64::from(before) * 4))?;
         let selected: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
         let kept: Vec<u32> = (0..before).filter(|&i| selected[i as usize] == 0).collect();
@@ -469,8 +455,6 @@ fn absolute_gradients_leave_the_training_as_it_is() {
     let of = |absolute| run(context(), views(3, 9), (absolute, u32::MAX), &[]);
     let (without, with) = (of(false), of(true));
     assert!(without.gaussians == with.gaussians && without.moments == with.moments);
-    let [other] = &with.strategy.statistics[..] else { panic!("one statistic of its own") };
-    assert!(other.values.iter().all(|&value| value == 0.0));
     let pairs = || without.statistics.iter().zip(&with.statistics);
     assert!(pairs().all(|([signed, views], [absolute, seen])| *absolute >= signed * 0.9999 && views == seen));
     assert!(pairs().filter(|([signed, _], [absolute, _])| *absolute > 1.5 * signed).count() > 20);

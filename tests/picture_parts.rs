@@ -92,7 +92,7 @@ fn views(part: Option<([u32; 2], [u32; 2])>, depths: bool) -> Vec<TrainView> {
         let rgb = cut(&rgb, 96, corner, size).into_flattened();
         let photo = StoredPhoto::from(Photo { width: size[0], height: size[1], rgb });
         let map = depths.then(|| cut(&map, 96, corner, size).into());
-        TrainView::new(camera.part(corner, size).expect("a part"), photo).with_inverse_depth(map)
+        TrainView { inverse_depth: map, ..TrainView::new(camera.part(corner, size).expect("a part"), photo) }
     };
     (0..3).map(view).collect()
 }

@@ -10,10 +10,7 @@ mod recorder;
 use ashsplat::vk::{Buffer, Context, MemoryKind, Recorder, RunReport};
 
 fn run(context: &Context, record: impl FnOnce(&mut Recorder)) -> RunReport {
-    let report = context.run("test", |r| {
-        record(r);
-        Ok(())
-    });
+    let report = context.run("test", |r| record(r));
     report.expect("a run")
 }
 

@@ -95,7 +95,10 @@ fn warm_up_ends_by_half_of_the_run() {
 #[test]
 fn warm_up_refuses_depths() {
     let map = vec![0.5; PIXELS];
-    let views = large().into_iter().map(|view| view.with_inverse_depth(Some(map.clone().into()))).collect();
+    let views = large()
+        .into_iter()
+        .map(|view| TrainView { inverse_depth: Some(map.clone().into()), ..view })
+        .collect();
     let said = refusal(Run { views, ..run(settings()) }.try_begin());
     let expected = "warm_up: is 12 (preset fast sets it), which does not go together with depths";
     assert!(said.starts_with(expected), "{said}");

@@ -15,8 +15,7 @@ use crate::{atomic, regular_file, text};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
 use ashsplat::train::checkpoint::{
-    Capacities, Checkpoint, ExposureState, MomentState, PoseState, StrategyState, StrategyStatistic, Tensor,
-    packed_planes,
+    Capacities, Checkpoint, ExposureState, MomentState, PoseState, StrategyState, Tensor, packed_planes,
 };
 use ashsplat::train::strategy::Actions;
 use ashsplat::train::{BlockState, LENS_STATE_VALUES, MomentsType, TrainSettings};
@@ -239,7 +238,6 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         strategy: StrategyState {
             name: metadata.text(STRATEGY_NAME)?.to_owned(),
             terms: metadata.terms(),
-            statistics: strategy_statistics(&header, &tensors)?,
             values: metadata.strategy(),
         },
         exposures: appearance_state(&tensors, Checkpoint::EXPOSURES)?,
@@ -369,26 +367,6 @@ fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
         second_moments: values(tensors, second, &[6])?,
         depths: values(tensors, Checkpoint::POSE_DEPTHS, &[])?,
     }))
-}
-
-/// The strategy's own statistics, in the order of the file's data.
-fn strategy_statistics(
-    header: &safetensors::tensor::Metadata,
-    tensors: &SafeTensors,
-) -> Result<Vec<StrategyStatistic>, String> {
-    let mut all = Vec::new();
-    for name in header.offset_keys() {
-        let Some(own) = name.strip_prefix(Checkpoint::STRATEGY) else { continue };
-        let tensor = tensors.tensor(&name).map_err(|e| e.to_string())?;
-        let (Dtype::F32, &[_, floats]) = (tensor.dtype(), tensor.shape()) else {
-            return Err(odd(&name, &tensor));
-        };
-        let floats =
-            u32::try_from(floats).map_err(|_| format!("has a tensor '{name}' of {floats} columns"))?;
-        let values = bytemuck::pod_collect_to_vec(tensor.data());
-        all.push(StrategyStatistic { name: own.to_owned(), floats, values });
-    }
-    Ok(all)
 }
 
 fn appearance_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String> {

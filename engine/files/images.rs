@@ -18,8 +18,7 @@ use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
 pub use crate::depth_fit::DepthMap;
-pub use ashsplat::scene::photo::Photo;
-pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
+pub use ashsplat::scene::{Photo, PhotoFile, StoredPhoto};
 pub use decode::photo_size;
 pub(crate) use decode::{
     Decoded, PhotoHeader, Request, UNREAD_KIND, cannot_hold, claims, damaged, decoder, limits, photo_header,

@@ -14,7 +14,12 @@ pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
 }
 
 /// Allocates planes for a plan, one buffer per chunk.
-pub fn allocate(context: &Context, arena: &str, kind: MemoryKind, plan: &ScenePlan) -> Result<Vec<Buffer>> {
+pub fn allocate(
+    context: &Context,
+    arena: &'static str,
+    kind: MemoryKind,
+    plan: &ScenePlan,
+) -> Result<Vec<Buffer>> {
     context.allocate(arena, &requests(plan), kind)
 }
 
@@ -26,7 +31,7 @@ pub fn allocate(context: &Context, arena: &str, kind: MemoryKind, plan: &ScenePl
 /// the Gaussians' vectors differ in length.
 pub fn upload(
     context: &Context,
-    arena: &str,
+    arena: &'static str,
     gaussians: &Gaussians,
     capacity: u32,
     sh_degree: u32,
@@ -39,7 +44,7 @@ pub fn upload(
 /// Same as [`upload`], for a plan whose capacity suffices, in memory of this kind.
 pub fn upload_planned(
     context: &Context,
-    arena: &str,
+    arena: &'static str,
     kind: MemoryKind,
     gaussians: &Gaussians,
     plan: ScenePlan,

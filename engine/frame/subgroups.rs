@@ -57,7 +57,7 @@ fn probe(context: &Context, [size, workgroup_size]: [u32; 2]) -> Result<()> {
     let count = (SUBGROUPS * size).max(workgroup_size);
     let bytes = u64::from(16 * count);
     let found = context.allocate("subgroups", &[("found", bytes)], MemoryKind::Device)?.remove(0);
-    context.run_commands("subgroup size", |recorder| {
+    context.run("subgroup size", |recorder| {
         let bind = subgroup_probe::Bind { found: &found };
         let push = subgroup_probe::Push { count };
         recorder.dispatch(&kernel, &bind, &push, count.div_ceil(workgroup_size).into());

@@ -10,15 +10,11 @@ pub struct Kernel {
     pub name: String,
     /// Its source, from which documentation comments are copied.
     pub source: String,
-    /// Its interface.
-    pub shader: Shader,
-    /// File with its SPIR-V as a Rust array.
-    pub spirv_file: String,
-    /// Its other forms.
+    /// Its forms, the plain one first.
     pub forms: Vec<Form>,
 }
 
-/// Another form of a shader: one that reads texels, or draws through a lens, or both.
+/// A form of a shader: it may read texels, and draw through a lens.
 pub struct Form {
     /// True if it reads texels.
     pub texels: bool,
@@ -31,9 +27,18 @@ pub struct Form {
 }
 
 impl Kernel {
+    /// Interface of the plain form.
+    fn plain(&self) -> &Shader {
+        &self.forms[0].shader
+    }
+
+    fn has_lenses(&self) -> bool {
+        self.forms.iter().any(|form| form.lenses)
+    }
+
     /// Interface of the form with the most bindings, constants and shared memory.
     fn widest(&self) -> &Shader {
-        self.forms.iter().find(|form| form.lenses).map_or(&self.shader, |form| &form.shader)
+        self.forms.iter().find(|form| form.lenses).map_or(self.plain(), |form| &form.shader)
     }
 }
 
@@ -86,7 +91,7 @@ fn blocks(kernels: &[Kernel]) -> Result<String, String> {
         "/// Uniform blocks, which several kernels may share.\n#[allow(clippy::all)]\npub mod blocks {\n",
     );
     for kernel in kernels {
-        for binding in &kernel.shader.bindings {
+        for binding in &kernel.plain().bindings {
             let BindingKind::Uniform(block) = &binding.kind else { continue };
             let (first, other) = *all.entry(&block.name).or_insert((block, kernel));
             if first != block {
@@ -182,7 +187,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     let mut out = String::new();
     check_identifier(stem)?;
     if let Some(difference) =
-        kernel.forms.iter().find_map(|form| kernel.shader.difference(&form.shader, true))
+        kernel.forms.iter().find_map(|form| kernel.plain().difference(&form.shader, true))
     {
         return Err(format!("one of its forms has other {difference}"));
     }
@@ -267,7 +272,7 @@ fn spec(kernel: &Kernel) -> Result<String, String> {
         };
         let _ = writeln!(defaults, "{name}: {value},");
     }
-    if kernel.forms.iter().any(|form| form.lenses) {
+    if kernel.has_lenses() {
         fields.push_str(
             "/// True for cameras with a lens: a form of the shader, no constant.\npub lenses: bool,\n",
         );
@@ -307,22 +312,22 @@ fn for_device(shader: &Shader) -> String {
 }
 
 fn interface(kernel: &Kernel) -> String {
-    let shader = &kernel.shader;
-    let (infos, image_infos) = (binding_infos(&shader.bindings), binding_infos(&shader.images));
+    let shader = kernel.plain();
+    let image_infos = binding_infos(&shader.images);
     let all =
         |bindings: &[Binding]| bindings.iter().map(|b| format!("bind.{}, ", b.name)).collect::<String>();
     let wide = kernel.widest();
     let (buffers, images) = (all(&wide.bindings), all(&shader.images));
     let mut forms = String::new();
     for Form { texels, lenses, shader, spirv_file } in &kernel.forms {
-        let (spirv, push) = (included(spirv_file), end_of(&shader.push));
-        let infos = binding_infos(&shader.bindings);
+        let (push, infos) = (end_of(&shader.push), binding_infos(&shader.bindings));
         let _ = writeln!(
             forms,
-            "Form {{ spirv: &{spirv}, bindings: &[\n{infos}], push_bytes: {push}, texels: {texels}, lenses: {lenses} }},"
+            "Form {{ spirv: &include!(concat!(env!(\"OUT_DIR\"), \"/\", {spirv_file:?})), bindings: &[\n{infos}], \
+             push_bytes: {push}, texels: {texels}, lenses: {lenses} }},"
         );
     }
-    let lenses = if kernel.forms.iter().any(|form| form.lenses) { "spec.lenses" } else { "false" };
+    let lenses = if kernel.has_lenses() { "spec.lenses" } else { "false" };
     let (mut constants, mut entries) = (String::new(), String::new());
     for c in &kernel.widest().spec {
         let kind = match c.rust_type {
@@ -356,12 +361,9 @@ fn interface(kernel: &Kernel) -> String {
          impl Generated for Interface {{}}\n\
          impl KernelInterface for Interface {{\n\
          const NAME: &'static str = {name:?};\n\
-         const SPIRV: &'static [u32] = &{spirv};\n\
-         const BINDINGS: &'static [BindingInfo] = &[\n{infos}];\n\
          const FORMS: &'static [Form] = &[\n{forms}];\n\
          const IMAGES: &'static [ImageInfo] = &[\n{image_infos}];\n\
          const CONSTANTS: &'static [ConstantInfo] = &[\n{constants}];\n\
-         const PUSH_BYTES: u32 = {push_size};\n\
          type Bind<'a> = Bind<'a>;\ntype Push = Push;\ntype Spec = Spec;\n\
          fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]> {{ let all: [&'a Buffer; {count}] = [{buffers}]; all }}\n\
          fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]> {{ let all: [&'a Image; {image_count}] = [{images}]; all }}\n\
@@ -373,17 +375,10 @@ fn interface(kernel: &Kernel) -> String {
          fn workgroup_size(spec: &Spec) -> [u32; 3] {{ [{x}, {y}, {z}] }}\n\
          fn shared_bytes(spec: &Spec) -> u32 {{ {shared} }}\n}}\n",
         name = kernel.name,
-        spirv = included(&kernel.spirv_file),
-        push_size = end_of(&shader.push),
         count = wide.bindings.len(),
         image_count = shader.images.len(),
         shared = kernel.widest().shared_bytes,
     )
-}
-
-/// Returns an expression that includes a module as a Rust array.
-fn included(file: &str) -> String {
-    format!("include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}))")
 }
 
 fn is_image(binding: &Binding) -> bool {

@@ -99,7 +99,7 @@ impl Filter3d {
     pub fn run(&self, context: &Context, scene: &SceneBuffers) -> Result<()> {
         let request = [("state", u64::from(STATE_WORDS) * 4)];
         let state = context.allocate("filter", &request, MemoryKind::Device)?.remove(0);
-        let ran = context.run_commands("3D filter", |r| {
+        let ran = context.run("3D filter", |r| {
             r.fill(&state, 0);
             r.barrier();
             self.record(r, scene, &state);

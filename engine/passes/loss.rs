@@ -9,7 +9,7 @@ use crate::kernels::loss::{
 };
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 pub(crate) use term::check_depth_points;
-pub use term::{DepthPoint, DepthPointBuffers, LossTerm, PixelLayout, TermData, TermInputs};
+pub use term::{DepthPoint, DepthPointBuffers, LossTerm, TermData, TermInputs};
 
 mod term;
 
@@ -88,7 +88,6 @@ pub enum PhotoFormat {
 ///     };
 ///     context.run("loss", |recorder| {
 ///         loss.record(recorder, &inputs);
-///         Ok(())
 ///     })?;
 ///     Ok(bytemuck::pod_read_unaligned(&context.download(losses)?))
 /// }
@@ -340,7 +339,7 @@ impl LossTerm for Photometric {
     }
 
     fn data(&self) -> TermData {
-        TermData { picture: Some(PixelLayout::Native), ..TermData::default() }
+        TermData { picture: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {

@@ -199,9 +199,7 @@ impl Lpips {
         for rows in &bands.rows {
             let texels = input(&bands.maps[0], rows[0].end, pictures, range);
             self.context.upload(&maps[0], bytemuck::cast_slice(&texels))?;
-            self.context.run_commands("lpips", |r| {
-                self.record(r, bands, rows, maps, differences);
-            })?;
+            self.context.run("lpips", |r| self.record(r, bands, rows, maps, differences))?;
             for ((sum, &map), buffer) in sums.iter_mut().zip(&taps).zip(differences.iter()) {
                 let values = rows[map].len() as u64 * u64::from(bands.maps[map].width);
                 self.context.download_chunks(&buffer.range(0, 4 * values), |bytes| {
@@ -350,9 +348,7 @@ impl Lpips {
     ) -> Result<Memory> {
         let mut maps = self.context.allocate("lpips", requests, MemoryKind::Device)?;
         let differences = maps.split_off(bands.maps.len());
-        self.context.run_commands("lpips zeros", |r| {
-            maps.iter().for_each(|map| r.fill(map, 0));
-        })?;
+        self.context.run("lpips zeros", |r| maps.iter().for_each(|map| r.fill(map, 0)))?;
         Ok(Memory { size, bands, maps, differences })
     }
 }

@@ -158,7 +158,6 @@ impl Renderer {
                 backward.record(r, inputs, &inputs.buffers.image_gradient, statistics, form);
                 r.barrier();
                 pose_gradient.record(r, inputs, parameters, 0, gradient);
-                Ok(())
             });
             ran.map_err(Failed::error)?;
             let bytes = self.context.download(&gradient.range(0, GRADIENT_BYTES / 2))?;

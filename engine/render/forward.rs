@@ -164,7 +164,7 @@ impl Forward {
 }
 
 /// Records a pass and the barrier after it.
-fn pass(r: &mut Recorder, name: &str, record: impl FnOnce(&mut Recorder)) {
+fn pass(r: &mut Recorder, name: &'static str, record: impl FnOnce(&mut Recorder)) {
     r.scope(name, |r| {
         record(r);
         r.barrier();

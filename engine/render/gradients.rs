@@ -141,7 +141,6 @@ impl Renderer {
             }
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, mean2d);
-            Ok(())
         });
         ran.map_err(Failed::error)?;
         let parameters = planes::download(&self.context, &SceneBuffers { chunks: planes, ..scene })?;

@@ -282,7 +282,7 @@ impl Renderer {
         check_capacity(frame, &placed, &slot.upcoming().capacity, reserved)?;
         let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
         let inputs = slot.memory.inputs(&placed, &settings);
-        self.context.run_commands("count", |r| {
+        self.context.run("count", |r| {
             forward.record(r, &inputs);
             r.barrier();
             slot.record_counts(r, 0);

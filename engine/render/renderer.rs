@@ -299,7 +299,7 @@ impl Renderer {
         let (scene, other_scenes) = loaded(&self.scenes)?;
         let alone = Request::new(scene, camera, settings, false);
         let request = Request { other_scenes, of_scenes: own, last_entries, ..alone };
-        let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
+        let ran = self.runner.run(&request, |_, _| {}).map_err(Failed::error)?;
         let FrameRun { counts, report, retries } = ran;
         let FrameCounts { visible, instances, longest_tile, samples, .. } = counts;
         let gaussians = self.scenes.iter().map(|scene| scene.count).sum();

@@ -134,7 +134,7 @@ impl FrameRunner {
     pub fn run(
         &mut self,
         request: &Request,
-        mut record_more: impl FnMut(&mut Recorder, &FrameInputs) -> Result<()>,
+        mut record_more: impl FnMut(&mut Recorder, &FrameInputs),
     ) -> Result<FrameRun, Failed> {
         let Request { scene, other_scenes, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
@@ -159,9 +159,8 @@ impl FrameRunner {
             let inputs = request.inputs(&memory, &capacity, &scenes);
             let report = context.run("frame", |r| {
                 forward.record(r, &inputs);
-                record_more(r, &inputs)?;
+                record_more(r, &inputs);
                 store.record_readback(r, &memory.buffers);
-                Ok(())
             })?;
             let counts = store.counts()?;
             // Growing frees its buffers before it allocates larger ones.

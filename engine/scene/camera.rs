@@ -390,10 +390,7 @@ impl Camera {
         }
     }
 
-    /// Checks that the camera can be rendered.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a number that is NaN or infinite, an image of no or absurd size, a focal length
+    /// Refuses a camera that cannot be rendered: a number that is NaN or infinite, an image of no or absurd size, a focal length
     /// that is not positive, a `camera_from_world` that is not a rotation, or a lens whose distortion folds the picture.
     pub fn check(&self) -> Result<()> {
         match self.problem() {

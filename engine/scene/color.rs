@@ -44,10 +44,7 @@ impl ColorEncoding {
     /// Linear light in which a photograph's white is 1.
     pub const LINEAR: Self = Self::LinearSrgb { exposure: 1.0 };
 
-    /// Checks the number.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an exposure that is not finite and positive.
+    /// Refuses an exposure that is not finite and positive.
     pub fn check(self) -> Result<()> {
         match self {
             Self::LinearSrgb { exposure } if !(exposure.is_finite() && exposure > 0.0) => {

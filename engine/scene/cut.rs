@@ -41,11 +41,7 @@ const LOGIT_SLACK: f64 = 1e-5;
 const MOST_OPACITY: f64 = 1.0 - 1.0 / (1 << 25) as f64;
 
 impl Cut {
-    /// Checks the numbers.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an opacity that is not between 0 and 1, a density that is negative or not finite, and a box with
-    /// NaN sides.
+    /// Refuses an opacity that is not between 0 and 1, a density that is negative or not finite, and a box with NaN sides.
     pub fn check(&self) -> Result<()> {
         let Self { min_opacity, min_density, bounds } = self;
         if !(0.0..=1.0).contains(min_opacity) {

@@ -91,10 +91,7 @@ impl CutOut {
         Self { pose, ..*self }
     }
 
-    /// Checks the numbers.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an invalid pose, sizes that are not positive and finite, a normal of length 0, numbers that are
+    /// Refuses an invalid pose, sizes that are not positive and finite, a normal of length 0, numbers that are
     /// not finite, and a volume that is too large or too small for float32.
     pub fn check(&self) -> Result<()> {
         let bad = |problem: String| Err(Error::argument("volume", problem));
@@ -180,9 +177,6 @@ impl CutOutLimits {
 impl Gaussians {
     /// Keeps the Gaussians that frames show with these cut-outs ([`SceneSettings`](crate::SceneSettings::cut_outs)), to the bit
     /// except for subnormal numbers.
-    ///
-    /// # Errors
-    /// Same as [`CutOut::check`].
     pub fn cut_out(&mut self, cut_outs: &[CutOut]) -> Result<()> {
         cut_outs.iter().try_for_each(CutOut::check)?;
         let limits: Vec<_> = cut_outs.iter().map(CutOut::limits).collect();

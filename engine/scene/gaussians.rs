@@ -62,10 +62,7 @@ impl Gaussians {
         &self.sh[index * k..(index + 1) * k]
     }
 
-    /// Checks that the vectors fit together.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] naming the vector with a wrong length, or the degree above 3.
+    /// Refuses vectors of the wrong length, and a degree above 3.
     pub fn check_shapes(&self) -> Result<()> {
         if self.sh_degree > MAX_SH_DEGREE {
             return Err(Error::argument("sh_degree", format!("{} is not between 0 and 3", self.sh_degree)));

@@ -1,7 +1,7 @@
 //! Rolling shutters: cameras that move while they read the rows or columns of their picture.
 
 use super::camera::Camera;
-use super::photo_lens::PhotoLens;
+use super::lens::PhotoLens;
 use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
 use std::f32::consts::PI;
 

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3, EulerRot};
 
 use super::gaussians::{Gaussians, sh_coefficients};
 use super::points::Bounds;
-use super::sh_rotation::{ShRotation, mirror_signs};
+use super::sh::{ShRotation, mirror_signs};
 use super::world_frame::WorldFrame;
 
 /// A similarity: `x_new = scale * (rotation * x) + translation`.

@@ -44,10 +44,7 @@ pub struct FieldBlocks {
 }
 
 impl FieldBlocks {
-    /// No blocks yet, of a field on this device.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for settings that are not positive and finite.
+    /// No blocks yet, of a field on this device. Refuses settings that are not positive and finite.
     pub fn new(context: &Context, settings: FieldSettings) -> Result<Self> {
         let FieldSettings { voxel, truncation, max_depth, .. } = settings;
         for (name, value) in [("voxel", voxel), ("truncation", truncation), ("max_depth", max_depth)] {

@@ -78,9 +78,6 @@ pub struct DistanceField {
 
 impl DistanceField {
     /// Allocates the voxels of these blocks, which no view has seen yet.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without a block; memory or device failures.
     pub fn new(context: &Context, blocks: &FieldBlocks) -> Result<Self> {
         if blocks.is_empty() {
             return Err(Error::argument("blocks", "there are none: no view shows a surface"));
@@ -97,7 +94,7 @@ impl DistanceField {
         context.upload(&buffers.neighbours, bytemuck::cast_slice(&neighbours))?;
         context.upload(&buffers.cubes, bytemuck::cast_slice(&cube_cases()))?;
         context.upload(&buffers.totals, bytemuck::cast_slice(&[voxels, 0]))?;
-        context.run_commands("clear field", |r| {
+        context.run("clear field", |r| {
             r.fill(&buffers.distances, 0);
             r.fill(&buffers.colors, 0);
         })?;
@@ -154,7 +151,7 @@ impl DistanceField {
             colors,
         };
         let run = |r: &mut Recorder| r.dispatch(&self.integrate, &bind, &push, self.groups);
-        self.context.run_commands("integrate", run).map(drop)
+        self.context.run("integrate", run).map(drop)
     }
 
     /// Returns the surface of distance 0 by marching cubes. Empty if there is none.
@@ -181,7 +178,7 @@ impl DistanceField {
         let requests =
             [("positions", vertices * 12), ("vertex_colors", vertices * 4), ("triangles", triangles * 12)];
         let mesh = self.context.allocate("mesh", &requests, MemoryKind::Device)?;
-        self.context.run_commands("mesh", |r| {
+        self.context.run("mesh", |r| {
             let bind = place_vertices::Bind {
                 neighbours,
                 distances,
@@ -213,7 +210,7 @@ impl DistanceField {
     /// Counts by `count`, writes the prefix sums, and returns the total.
     fn scanned(&self, prefix: &Buffer, count: impl FnOnce(&mut Recorder)) -> Result<u64> {
         let FieldBuffers { counts, totals, scan_blocks, .. } = &self.buffers;
-        self.context.run_commands("count", |r| {
+        self.context.run("count", |r| {
             count(r);
             r.barrier();
             let buffers = ScanBuffers {

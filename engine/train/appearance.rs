@@ -118,8 +118,9 @@ impl AppearanceMemory {
         self.0.iter().flatten()
     }
 
-    /// Exposures of all views, and the effects of the first `lenses` lenses.
-    pub fn states(&self, context: &Context, lenses: usize) -> Result<[ExposureState; 2]> {
+    /// Exposures of all views, and the effects of their lenses.
+    pub fn states(&self, context: &Context, lens_of_view: &[u32]) -> Result<[ExposureState; 2]> {
+        let lenses = lens_of_view.iter().max().map_or(0, |&last| last as usize + 1);
         let [exposures, lens_effects] = &self.0;
         let state = |buffers: &Option<AppearanceBuffers>, count: usize| -> Result<ExposureState> {
             let Some(buffers) = buffers else { return Ok(ExposureState::default()) };
@@ -132,10 +133,7 @@ impl AppearanceMemory {
         Ok([state(exposures, usize::MAX)?, state(lens_effects, lenses)?])
     }
 
-    /// Restores [`AppearanceMemory::states`].
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if there are more rows than views.
+    /// Restores [`AppearanceMemory::states`]; refuses more rows than views.
     pub fn restore(&self, context: &Context, states: [&ExposureState; 2]) -> Result<()> {
         for (buffers, state) in self.0.iter().zip(states) {
             let Some(buffers) = buffers else { continue };

@@ -40,8 +40,7 @@ impl SceneBlock {
     /// `margin` (world units) on all sides. Both parts keep their order.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the core has no volume or a NaN side, if the margin is negative or not finite, or if no Gaussian
-    /// is to be trained.
+    /// Same as [`SceneBlock::check_box`]; [`Error::Argument`] if no Gaussian is to be trained.
     pub fn divide(scene: &Gaussians, core: Bounds, margin: f32) -> Result<(Gaussians, Self)> {
         Self::check_box(core, margin)?;
         let inside = |&index: &usize| Self::contains(core, margin, scene.means[index]);
@@ -91,10 +90,7 @@ impl SceneBlock {
         core.min == Vec3::NEG_INFINITY && core.max == Vec3::INFINITY
     }
 
-    /// Checks a core and a margin as [`SceneBlock::divide`] does.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if the core has no volume or a NaN side, or if the margin is negative or not finite.
+    /// Refuses a core without volume or with a NaN side, and a margin that is negative or not finite.
     pub fn check_box(core: Bounds, margin: f32) -> Result<()> {
         // False for NaN.
         if !core.min.cmplt(core.max).all() {
@@ -138,30 +134,25 @@ pub struct BlockState {
 impl BlockState {
     /// Difference between the block of a checkpoint and that of a run; None if they are equal.
     pub(super) fn difference(there: Option<&Self>, here: Option<&Self>) -> Option<String> {
-        let sides = |core: &[[f32; 3]; 2]| {
-            let all: Vec<String> = core.as_flattened().iter().map(f32::to_string).collect();
-            all.join(",")
-        };
-        match (there, here) {
-            (None, None) => None,
-            (Some(there), None) => Some(format!(
-                "was made for the block {}, here the whole scene is trained",
-                sides(&there.core)
-            )),
-            (None, Some(here)) => {
-                Some(format!("was made for a whole scene, here the block {} is trained", sides(&here.core)))
-            }
-            (Some(there), Some(here)) if there.core != here.core => Some(format!(
-                "was made for the block {}, here it is {}",
-                sides(&there.core),
-                sides(&here.core)
-            )),
-            (Some(there), Some(here)) if there != here => Some(format!(
+        if there == here {
+            return None;
+        }
+        if let (Some(there), Some(here)) = (there, here)
+            && there.core == here.core
+        {
+            return Some(format!(
                 "was made among {} other Gaussians around the block, here are {} (of another scene or margin)",
                 there.frozen, here.frozen
-            )),
-            _ => None,
+            ));
         }
+        let name = |state: Option<&Self>| match state {
+            None => "the whole scene".to_owned(),
+            Some(Self { core, .. }) => {
+                let sides: Vec<String> = core.as_flattened().iter().map(f32::to_string).collect();
+                format!("the block {}", sides.join(","))
+            }
+        };
+        Some(format!("was made for {}, here {} is trained", name(there), name(here)))
     }
 }
 
@@ -234,30 +225,36 @@ impl<'a> Sight<'a> {
 /// without the 3D filter.
 pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera], low_pass_px2: f64) -> Vec<bool> {
     let sights: Vec<Sight<'_>> = cameras.iter().map(Sight::of).collect();
+    let rows: Vec<usize> = (0..gaussians.len()).collect();
+    // The same cameras show neighbours, so each search begins with the last one found.
+    in_threads(&rows, 0, |last, &row| {
+        let axis = gaussians.log_scales[row].into_iter().fold(f32::NEG_INFINITY, f32::max);
+        let (mean, axis) = (DVec3::from_array(gaussians.means[row].map(f64::from)), f64::from(axis).exp());
+        let mut order = (*last..sights.len()).chain(0..(*last).min(sights.len()));
+        let found = order.find(|&sight| sights[sight].may_show(mean, axis, low_pass_px2));
+        *last = found.unwrap_or(*last);
+        found.is_some()
+    })
+}
+
+/// Maps items in several threads, each with a state that begins as `state`.
+pub(super) fn in_threads<T: Sync, S: Clone + Send, R: Clone + Default + Send>(
+    items: &[T],
+    state: S,
+    map: impl Fn(&mut S, &T) -> R + Sync,
+) -> Vec<R> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let each = gaussians.len().div_ceil(threads).max(1);
-    let mut seen = vec![false; gaussians.len()];
+    let share = items.len().div_ceil(threads).max(1);
+    let mut results = vec![R::default(); items.len()];
     std::thread::scope(|scope| {
-        for (part, seen) in seen.chunks_mut(each).enumerate() {
-            let (first, sights) = (part * each, &sights);
+        for (results, items) in results.chunks_mut(share).zip(items.chunks(share)) {
+            let (mut state, map) = (state.clone(), &map);
             scope.spawn(move || {
-                // The same cameras show neighbours.
-                let mut last = 0;
-                for (offset, seen) in seen.iter_mut().enumerate() {
-                    let index = first + offset;
-                    let [mean, scales] = [gaussians.means[index], gaussians.log_scales[index]];
-                    let axis = scales.into_iter().fold(f32::NEG_INFINITY, f32::max);
-                    let (mean, axis) = (DVec3::from_array(mean.map(f64::from)), f64::from(axis).exp());
-                    let order = (last..sights.len()).chain(0..last.min(sights.len()));
-                    let found =
-                        order.into_iter().find(|&sight| sights[sight].may_show(mean, axis, low_pass_px2));
-                    last = found.unwrap_or(last);
-                    *seen = found.is_some();
-                }
+                results.iter_mut().zip(items).for_each(|(to, item)| *to = map(&mut state, item))
             });
         }
     });
-    seen
+    results
 }
 
 pub(super) struct Block {

@@ -6,8 +6,8 @@
 
 use super::block::{BlockState, SceneBlock};
 use super::lens_opt::{LENS_STATE_VALUES, LensState};
+use super::schedule::Actions;
 use super::settings::{MomentsType, TrainSettings};
-use super::work::Actions;
 use crate::error::{Error, Result};
 use crate::frame::half_parameter_planes;
 use crate::kernels::constants::{PLANE_LOG_SCALE, PLANE_SH};
@@ -145,21 +145,8 @@ pub struct StrategyState {
     pub name: String,
     /// Names of the loss terms.
     pub terms: Vec<String>,
-    /// Statistics of the strategy.
-    pub statistics: Vec<StrategyStatistic>,
     /// Names and values of the strategy's state on the host.
     pub values: Vec<(String, String)>,
-}
-
-/// A statistic of a strategy.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StrategyStatistic {
-    /// Name of the statistic.
-    pub name: String,
-    /// Values per Gaussian.
-    pub floats: u32,
-    /// The values, Gaussian by Gaussian.
-    pub values: Vec<f32>,
 }
 
 /// Optimised poses, one row per view: see [`Twist`](crate::scene::Twist).
@@ -287,10 +274,6 @@ impl Checkpoint {
         if !self.filters.is_empty() {
             tensors.push(Tensor::new(Self::FILTERS, [self.filters.len()], &self.filters));
         }
-        for StrategyStatistic { name, floats, values } in &self.strategy.statistics {
-            let shape = [values.len() / (*floats).max(1) as usize, *floats as usize];
-            tensors.push(Tensor::new(format!("{}{name}", Self::STRATEGY), shape, values));
-        }
         for (state, own) in [(&self.exposures, Self::EXPOSURES), (&self.lens_effects, Self::LENS_EFFECTS)] {
             let sets = Self::SETS.into_iter().zip(state.sets());
             tensors.extend(sets.filter_map(|(prefix, rows)| Tensor::of_matrices(prefix, own, rows)));
@@ -334,7 +317,7 @@ impl Checkpoint {
     /// Name of the tensor of [`PoseState::depths`].
     pub const POSE_DEPTHS: &str = "pose_depth";
 
-    /// Prefix of the strategy's statistics, and of its values in the metadata.
+    /// Prefix of the strategy's values in the metadata.
     pub const STRATEGY: &str = "strategy.";
 
     /// Hash of all tensors. Equal hashes mean states that are equal to the bit.
@@ -393,9 +376,8 @@ impl Checkpoint {
                 return Err(Error::argument(Self::PACKED_MOMENTS, problem));
             }
         }
-        let free = ["statistics", Self::STRATEGY, Self::PACKED_MOMENTS];
         for Tensor { name, bytes, .. } in self.tensors() {
-            if free.iter().any(|prefix| name.starts_with(prefix)) {
+            if ["statistics", Self::PACKED_MOMENTS].contains(&name.as_str()) {
                 continue;
             }
             let least = if name.starts_with(Self::SETS[2]) { 0.0 } else { f32::NEG_INFINITY };
@@ -427,9 +409,6 @@ impl Checkpoint {
                 (MomentsType::Packed, words.len() == all)
             }
         };
-        let rows = |statistic: &StrategyStatistic| {
-            statistic.floats > 0 && statistic.values.len() == gaussians * statistic.floats as usize
-        };
         let filters = if self.settings.filter_3d { gaussians } else { 0 };
         let exposures = if self.settings.exposure { self.views } else { 0 };
         let lenses = self.lens_effects.sets().map(|set| set.len() as u64);
@@ -439,33 +418,20 @@ impl Checkpoint {
             poses.sets().iter().all(|rows| rows.len() as u64 == self.views)
                 && poses.depths.len() as u64 == self.views
         };
-        let of_gaussians = "of another number than the Gaussians";
-        let of_views = "are of another number than the views";
-        let checks: [(bool, &str, String); 8] = [
-            (
-                storage == self.settings.moments,
-                "moments",
-                "are stored otherwise than the settings say".into(),
-            ),
-            (moments_fit, "moments", format!("are {of_gaussians}")),
-            (
-                self.statistics.len() == gaussians && self.strategy.statistics.iter().all(rows),
-                "statistics",
-                format!("are {of_gaussians}"),
-            ),
-            (self.filters.len() == filters, Self::FILTERS, format!("is {of_gaussians}")),
-            (
-                self.exposures.sets().iter().all(|set| set.len() as u64 == exposures),
-                "exposures",
-                format!("are not those of {exposures} photographs"),
-            ),
-            (lenses_fit, "lenses", format!("are not those of {most} photographs")),
-            (self.poses.as_ref().is_none_or(poses_fit), "poses", of_views.into()),
-            (
-                self.gaussians.sh_degree == self.settings.sh_degree,
-                "sh_degree",
-                "of the Gaussians and of the settings differ".into(),
-            ),
+        let exposures_fit = self.exposures.sets().iter().all(|set| set.len() as u64 == exposures);
+        let degree_fits = self.gaussians.sh_degree == self.settings.sh_degree;
+        let of_gaussians = "are of another number than the Gaussians";
+        let [exposed, lensed] =
+            [exposures, most].map(|count| format!("are not those of {count} photographs"));
+        let checks = [
+            (storage == self.settings.moments, "moments", "are stored otherwise than the settings say"),
+            (moments_fit, "moments", of_gaussians),
+            (self.statistics.len() == gaussians, "statistics", of_gaussians),
+            (self.filters.len() == filters, Self::FILTERS, of_gaussians),
+            (exposures_fit, "exposures", &exposed),
+            (lenses_fit, "lenses", &lensed),
+            (self.poses.as_ref().is_none_or(poses_fit), "poses", "are of another number than the views"),
+            (degree_fits, "sh_degree", "of the Gaussians and of the settings differ"),
         ];
         match checks.into_iter().find(|(fits, ..)| !fits) {
             Some((_, name, problem)) => Err(Error::argument(name, problem)),
@@ -525,10 +491,6 @@ impl Checkpoint {
         self.statistics = rows.iter().map(|&row| self.statistics[row]).collect();
         // Empty without the 3D filter.
         self.filters = rows.iter().filter_map(|&row| self.filters.get(row).copied()).collect();
-        for StrategyStatistic { floats, values, .. } in &mut self.strategy.statistics {
-            let floats = *floats as usize;
-            *values = rows.iter().flat_map(|row| &values[row * floats..][..floats]).copied().collect();
-        }
     }
 
     /// Appends the Gaussians of another run with the same settings. The other run's state of views is dropped.
@@ -540,10 +502,7 @@ impl Checkpoint {
         if let Some(difference) = self.difference_of_settings(&other.settings) {
             return refuse(format!("was made with other settings: {difference}"));
         }
-        let names = |of: &Self| -> Vec<(String, u32)> {
-            of.strategy.statistics.iter().map(|own| (own.name.clone(), own.floats)).collect()
-        };
-        if self.strategy.name != other.strategy.name || names(self) != names(other) {
+        if self.strategy.name != other.strategy.name {
             return refuse("was made with another strategy".into());
         }
         self.gaussians.append(&other.gaussians);
@@ -557,9 +516,6 @@ impl Checkpoint {
         }
         self.statistics.extend_from_slice(&other.statistics);
         self.filters.extend_from_slice(&other.filters);
-        for (own, others) in self.strategy.statistics.iter_mut().zip(&other.strategy.statistics) {
-            own.values.extend_from_slice(&others.values);
-        }
         Ok(())
     }
 

@@ -7,7 +7,6 @@ use super::poses;
 use super::schedule::{IterationPlan, TrainingRun, whole_instances};
 use super::settings::{MomentsType, ShStorage, TrainSettings};
 use super::step::StepRecorder;
-use super::work::{GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan,
@@ -81,10 +80,11 @@ impl std::ops::Add for RowBytes {
     }
 }
 
+/// Bytes per Gaussian of [`Model::statistics`].
+pub(super) const STATISTICS_BYTES: u64 = 8;
+
 /// Memory for the Gaussians of a run, apart from frames.
 pub(super) struct RowMemory {
-    /// All statistics, the gradient's first.
-    pub statistics: Vec<Statistic>,
     parameter_gradients: bool,
     /// Memory kind of parameters and moments.
     pub planes: MemoryKind,
@@ -93,15 +93,9 @@ pub(super) struct RowMemory {
 }
 
 impl RowMemory {
-    /// `own`: statistics of the strategy. `planes`: memory of planes that a step reads sparsely.
-    pub fn new(
-        own: Vec<Statistic>,
-        parameter_gradients: bool,
-        planes: MemoryKind,
-        settings: &TrainSettings,
-    ) -> Self {
+    /// `planes`: memory of planes that a step reads sparsely.
+    pub fn new(parameter_gradients: bool, planes: MemoryKind, settings: &TrainSettings) -> Self {
         Self {
-            statistics: [vec![GRADIENT_STATISTIC], own].concat(),
             parameter_gradients,
             planes,
             packed_moments: settings.moments == MomentsType::Packed,
@@ -112,11 +106,6 @@ impl RowMemory {
     /// Plan of a set of Gaussians.
     pub fn plan(&self, context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
         ScenePlan::new(context.limits(), capacity, sh_degree, self.half_sh)
-    }
-
-    fn statistics_requests(&self, capacity: u32) -> Requests {
-        let bytes = |statistic: &Statistic| u64::from(capacity) * u64::from(statistic.floats) * 4;
-        self.statistics.iter().map(|statistic| (statistic.name, bytes(statistic))).collect()
     }
 
     /// One buffer per chunk; none without terms that depend on the parameters directly.
@@ -136,14 +125,14 @@ impl RowMemory {
 
     /// Bytes of the buffers for a plan's capacity, without allocation padding: the cost of one capacity beside another.
     pub fn bytes(&self, plan: &ScenePlan) -> RowBytes {
-        let others = self.statistics_requests(plan.capacity).into_iter().chain(self.gradient_requests(plan));
-        let planes = self.plane_requests(plan).concat().into_iter();
-        self.placed(planes.map(|(_, bytes)| bytes).sum(), others.map(|(_, bytes)| bytes).sum())
+        let sum = |requests: Requests| requests.iter().map(|(_, bytes)| bytes).sum::<u64>();
+        let others = sum(statistics_request(plan).into()) + sum(self.gradient_requests(plan));
+        self.placed(sum(self.plane_requests(plan).concat()), others)
     }
 
     /// Bytes of the buffers with allocation padding: the cost of a run before it starts.
     pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> RowBytes {
-        let statistics = context.allocation_bytes(&self.statistics_requests(plan.capacity));
+        let statistics = context.allocation_bytes(&statistics_request(plan));
         let gradients = context.allocation_bytes(&self.gradient_requests(plan));
         let planes = self.plane_requests(plan);
         let planes = planes.iter().map(|requests| context.allocation_bytes(requests)).sum();
@@ -158,12 +147,16 @@ impl RowMemory {
     }
 }
 
+fn statistics_request(plan: &ScenePlan) -> [Request; 1] {
+    [("statistics", u64::from(plan.capacity) * STATISTICS_BYTES)]
+}
+
 /// Gaussians on the device, with their moments and statistics.
 #[derive(Clone)]
 pub(super) struct Model {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
+    /// One buffer, none once released: see [`Population::statistics`](super::Population::statistics).
     pub statistics: Vec<Buffer>,
     /// Per chunk: see [`crate::passes::loss::TermInputs::parameter_gradients`].
     pub parameter_gradients: Vec<Buffer>,
@@ -175,7 +168,7 @@ impl Model {
         let (plan, sets) = Moments::sets_of(&scene.plan, rows.packed_moments);
         let sets = (0..sets).map(|_| planes::allocate(context, "moments", rows.planes, &plan));
         let moments = Moments { packed: rows.packed_moments, plan, sets: sets.collect::<Result<_>>()? };
-        let statistics = rows.statistics_requests(scene.plan.capacity);
+        let statistics = statistics_request(&scene.plan);
         let statistics = context.allocate("statistics", &statistics, MemoryKind::Device)?;
         let gradients = rows.gradient_requests(&scene.plan);
         let parameter_gradients = match gradients.is_empty() {
@@ -189,7 +182,7 @@ impl Model {
     pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
         let model = Self::allocate(context, scene, rows)?;
         let moments = model.moments.sets.iter().flatten();
-        context.run_commands("clear moments", |r| {
+        context.run("clear moments", |r| {
             moments.chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0))
         })?;
         Ok(model)
@@ -320,10 +313,7 @@ impl StartMemory<'_> {
         FrameCapacity { gaussians, visible, instances, ..shape }
     }
 
-    /// Refuses photographs whose frames exceed a limit of the device, whatever the memory.
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`] for the photograph with the largest need, with the size of its largest buffer.
+    /// Refuses photographs whose frames exceed a limit of the device, whatever the memory. Names the one with the largest need.
     pub fn check_photos(&self, context: &Context) -> Result<()> {
         // The first photograph of each size, and the number of photographs with that size.
         let mut sizes: HashMap<Size, (&PhotoSize, usize)> = HashMap::new();

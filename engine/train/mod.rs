@@ -6,6 +6,7 @@
 //! capacity.
 //!
 //! Unless a function names other errors, they are those of the device: it refuses a pipeline, has no memory left or is lost.
+//! Functions that read a trainer's state also fail while recorded steps are in flight, and after a step with an unknown outcome.
 
 mod appearance;
 mod block;
@@ -21,12 +22,10 @@ mod resume;
 mod schedule;
 pub mod settings;
 mod step;
-mod strategies;
 pub mod strategy;
 mod terms;
 mod trainer;
 pub mod verify;
-mod work;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
 pub use checkpoint::{Capacities, Checkpoint, ExposureState, MomentState, PoseState};
@@ -34,12 +33,13 @@ pub use lens_opt::{LENS_STATE_VALUES, LensState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};
-pub use record::{RecordedStep, StepReservation};
+pub use record::{Maintenance, RecordedStep, StepReservation};
 pub use settings::{
     ImportanceType, MomentsType, OptimizerType, Preset, ShStorage, SplitType, StrategyType, TrainSettings,
 };
-pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference};
-pub use strategy::Strategy;
+pub use step::{StepOutcome, StepReport};
+pub use strategy::{
+    Actions, Budget, Densified, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference, Strategy,
+};
 pub use terms::*;
 pub use trainer::Trainer;
-pub use work::{Actions, Densified, Maintenance, StepOutcome, StepReport};

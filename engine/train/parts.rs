@@ -6,8 +6,7 @@ use super::memory::{RowMemory, StartMemory};
 use super::photos::{self, PhotoBytes, PhotoSize};
 use super::settings::TrainSettings;
 use super::step::StepRecorder;
-use super::strategies;
-use super::strategy::Strategy;
+use super::strategy::{self, Strategy};
 use super::terms::{self, InverseDepth, SparseDepth, Surface};
 use crate::error::{Error, Result};
 use crate::frame::max_trained_among;
@@ -18,7 +17,7 @@ use crate::vk::Context;
 pub struct TrainParts {
     /// Density control.
     pub strategy: Box<dyn Strategy>,
-    /// Loss terms besides the photometric one and the strategy's own.
+    /// Loss terms besides the photometric one.
     pub terms: Vec<Box<dyn LossTerm>>,
     /// Block that the initial Gaussians form; None if they are the whole scene.
     pub block: Option<SceneBlock>,
@@ -28,7 +27,7 @@ impl TrainParts {
     /// Returns the parts that the settings select.
     pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let terms = terms::of_settings(context, settings)?;
-        Ok(Self { strategy: strategies::of_settings(context, settings)?, terms, block: None })
+        Ok(Self { strategy: strategy::of_settings(context, settings)?, terms, block: None })
     }
 }
 
@@ -95,9 +94,6 @@ impl Forecast<'_> {
     }
 
     /// Initial capacity in Gaussians, and true if it is the checkpoint's because all of its capacities fit.
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`](crate::Error::TooLarge), before anything is allocated.
     pub(super) fn capacity(&self, context: &Context, parts: &BuiltParts) -> Result<(u32, bool)> {
         let (photos, photo_memory) = (self.photos, self.photo_memory);
         let (photo_bytes, refused) = match photos::device_bytes(context, photos, photo_memory) {
@@ -136,7 +132,7 @@ impl BuiltParts {
         parts: TrainParts,
         photos: &[PhotoSize],
     ) -> Result<Self> {
-        let TrainParts { mut strategy, terms, block: _ } = parts;
+        let TrainParts { strategy, terms, block: _ } = parts;
         let any_masked = photos.iter().any(|photo| photo.masked);
         let mut all: Vec<Box<dyn LossTerm>> =
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
@@ -153,11 +149,9 @@ impl BuiltParts {
             all.push(Box::new(SparseDepth::new(context, settings, scene_extent, most)?));
         }
         all.extend(terms);
-        all.extend(strategy.loss_terms(context, settings)?);
         check_depths(settings, &all)?;
         let parameter_gradients = StepRecorder::term_data_of(&all).parameters;
-        let rows =
-            RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory(), settings);
+        let rows = RowMemory::new(parameter_gradients, context.planes_memory(), settings);
         let recorder = StepRecorder::new(context, all, settings, strategy.absolute_gradients())?;
         Ok(Self { strategy, recorder, rows })
     }

@@ -1,12 +1,14 @@
 //! Photographs on the device: all of them, or those of the next iterations.
 
+use super::block::in_threads;
 use super::schedule::ViewOrder;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
+use crate::frame::array_of;
 use crate::passes::loss::{
     DepthPoint, DepthPointBuffers, NativeLayout, check_depth_points, photo_bytes, photo_on_device,
 };
-use crate::scene::stored_photo::TEXEL_BYTES;
+use crate::scene::photo::TEXEL_BYTES;
 use crate::scene::{Camera, Fingerprint, StoredPhoto};
 use crate::vk::{Buffer, Context, MemoryKind};
 use std::sync::Arc;
@@ -267,7 +269,7 @@ impl Photos {
 fn upload_all(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Result<Vec<Buffer>> {
     let texels = context.allocate("photos", &requests(context, sizes), MemoryKind::Device)?;
     let begin = |(buffer, view): (_, &TrainView)| {
-        context.begin_upload(buffer, &on_device(NativeLayout::of(context.limits()), &view.photo)?)
+        context.begin_upload(buffer, &on_device(NativeLayout::of(context.limits()), &view.photo)?, false)
     };
     let begun = texels.iter().zip(views).try_for_each(begin);
     // Also finishes uploads begun before a photograph that cannot be read, because they hold memory.
@@ -328,7 +330,7 @@ impl Stream {
                     "the thread that reads them has ended; go on from a checkpoint",
                 )
             })??;
-            context.begin_upload_beside(&places[at.place].range(0, texels.len() as u64), &texels)?;
+            context.begin_upload(&places[at.place].range(0, texels.len() as u64), &texels, true)?;
         }
         context.take_over_uploads()?;
         self.running = Some(running);
@@ -344,7 +346,7 @@ impl Stream {
         let free = at.load && at.place != running.at.place && context.transfers().copy_queue;
         let texels = if free { running.texels.try_recv().ok().transpose()? } else { None };
         if let Some(texels) = &texels {
-            context.begin_upload_beside(&places[at.place].range(0, texels.len() as u64), texels)?;
+            context.begin_upload(&places[at.place].range(0, texels.len() as u64), texels, true)?;
         }
         running.ahead = Some((at, texels.is_some()));
         self.running = Some(running);
@@ -417,8 +419,7 @@ impl DepthMaps {
             let points = match &view.depth_points {
                 Some(points) if size.depth_points > 0 => {
                     let size = (view.photo.width, view.photo.height);
-                    let own = <[Buffer; 3]>::try_from(buffers.by_ref().take(3).collect::<Vec<_>>());
-                    let Ok(own) = own else { unreachable!("one buffer per request") };
+                    let own = array_of(buffers.by_ref().take(3).collect());
                     Some(DepthPointBuffers::upload(context, own, points, size)?)
                 }
                 _ => None,
@@ -506,7 +507,6 @@ impl Residency {
 
 /// A photograph and its camera.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct TrainView {
     /// Camera of the photograph, with its size.
     pub camera: Camera,
@@ -525,27 +525,9 @@ pub struct TrainView {
 }
 
 impl TrainView {
-    /// Creates a view to train on.
+    /// Creates a view to train on, without depths.
     pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
         Self { camera, photo: photo.into(), inverse_depth: None, camera_id: 0, depth_points: None }
-    }
-
-    /// Returns the view with an inverse-depth map: [`TrainView::inverse_depth`].
-    #[must_use]
-    pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
-        Self { inverse_depth: map, ..self }
-    }
-
-    /// Returns the view with the id of its camera: [`TrainView::camera_id`].
-    #[must_use]
-    pub fn taken_by(self, camera_id: u32) -> Self {
-        Self { camera_id, ..self }
-    }
-
-    /// Returns the view with sparse points: [`TrainView::depth_points`].
-    #[must_use]
-    pub fn with_depth_points(self, points: Option<Arc<[DepthPoint]>>) -> Self {
-        Self { depth_points: points, ..self }
     }
 }
 
@@ -565,16 +547,8 @@ pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
         }
         print.finish()
     };
-    // Photographs have many megabytes, so each thread hashes a share of them.
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let share = views.len().div_ceil(threads).max(1);
-    let mut each = vec![0; views.len()];
-    std::thread::scope(|scope| {
-        for (prints, views) in each.chunks_mut(share).zip(views.chunks(share)) {
-            scope
-                .spawn(move || prints.iter_mut().zip(views).for_each(|(print, view)| *print = of_view(view)));
-        }
-    });
+    // Photographs have many megabytes.
+    let each = in_threads(views, (), |(), view| of_view(view));
     let mut all = Fingerprint::new();
     all.add(bytemuck::cast_slice(&each));
     all.finish()

@@ -82,9 +82,13 @@ impl Population<'_> {
         &self.model.moments
     }
 
-    /// Statistics per Gaussian: see [`super::strategy::StepInputs::statistics`].
-    pub fn statistics(&self) -> &[Buffer] {
-        &self.model.statistics
+    /// Per Gaussian, since the last change of the set: sum over views of the norm of the 2D mean's gradient (NDC), and number of
+    /// views. Views count if [`Work::accumulates`](super::strategy::Work::accumulates) is set. With
+    /// [`Strategy::absolute_gradients`](super::Strategy::absolute_gradients) the norm is that of the absolute gradients:
+    /// ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖, where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS,
+    /// Ye et al. 2024).
+    pub fn statistics(&self) -> &Buffer {
+        &self.model.statistics[0]
     }
 
     /// Frees the buffers of pictures drawn between steps.
@@ -118,7 +122,7 @@ impl Population<'_> {
         };
         let (importance, place) = (&own[0], &place[0]);
         let buffers = ImportanceBuffers::from_allocated(buffers);
-        context.run_commands("clear importance", |r| r.fill(importance, 0))?;
+        context.run("clear importance", |r| r.fill(importance, 0))?;
         // The weights do not depend on colours.
         let settings = RenderSettings { inverse_depth: false, ..self.run.settings.render_settings() };
         let share = 1.0 / views.len() as f32;
@@ -149,7 +153,6 @@ impl Population<'_> {
                 kernels.record_edges(r, &photo, &buffers, gradient);
                 r.barrier();
                 kernels.record_view(r, inputs, gradient, &buffers, importance, share);
-                Ok(())
             });
             or_none(ran.map_err(Failed::error))?;
         }
@@ -234,9 +237,9 @@ impl Population<'_> {
             None => (old.clone(), self.moved_planes()?),
         };
         new.scene.count = rows;
-        self.context.run_commands("densify: gather", |r| {
+        self.context.run("densify: gather", |r| {
             let sources = record_sources(r, &old.scene);
-            new.statistics.iter().for_each(|statistic| r.fill(statistic, 0));
+            r.fill(&new.statistics[0], 0);
             let gather = Gather { from: &old.scene, to: &new.scene, sources, scratch: &moved };
             kernels.record_gather_parameters(r, &gather, key);
             for (from, to) in old.moment_planes().zip(new.moment_planes()) {
@@ -258,20 +261,15 @@ impl Population<'_> {
     /// device is lost.
     pub fn keep(&mut self, kept: &[u32], kernels: &Densify) -> Result<()> {
         let count = self.count();
+        let refuse = |problem: String| Err(Error::argument("Gaussians to keep", problem));
         if kept.is_empty() || kept.len() > count as usize {
-            let problem = format!("are {}, must be 1 to {count}", kept.len());
-            return Err(Error::argument("Gaussians to keep", problem));
+            return refuse(format!("are {}, must be 1 to {count}", kept.len()));
         }
         let mut seen = vec![false; count as usize];
         for &index in kept {
             match seen.get_mut(index as usize) {
-                None => {
-                    let problem = format!("have {index}, there are {count}");
-                    return Err(Error::argument("Gaussians to keep", problem));
-                }
-                Some(true) => {
-                    return Err(Error::argument("Gaussians to keep", format!("have {index} twice")));
-                }
+                None => return refuse(format!("have {index}, there are {count}")),
+                Some(true) => return refuse(format!("have {index} twice")),
                 Some(seen) => *seen = true,
             }
         }

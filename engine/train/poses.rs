@@ -54,7 +54,7 @@ impl Poses {
             cameras: (0..cameras.len()).map(at).collect(),
             buffers,
         };
-        context.run_commands("clear poses", |r| {
+        context.run("clear poses", |r| {
             let PoseBuffers { parameters, moments, gradient, .. } = &poses.buffers;
             [parameters, moments, gradient].into_iter().for_each(|buffer| r.fill(buffer, 0));
         })?;
@@ -66,7 +66,7 @@ impl Poses {
     fn make_cameras(&self, context: &Context) -> Result<()> {
         let state =
             context.allocate("poses", &[("state", u64::from(STATE_WORDS) * 4)], MemoryKind::Device)?;
-        let made = context.run_commands("make cameras", |r| {
+        let made = context.run("make cameras", |r| {
             r.fill(&state[0], 0);
             r.barrier();
             self.optimizer.record(r, &self.buffers, &state[0], None);

@@ -6,9 +6,9 @@
 
 use super::memory::{Model, PeakCounts};
 use super::schedule::IterationPlan;
-use super::step::{InFlight, RecordedSteps, StepParts, StepSlot};
+use super::step::{InFlight, RecordedSteps, StepOutcome, StepParts, StepReport, StepSlot};
+use super::strategy::Densified;
 use super::trainer::Trainer;
-use super::work::{Maintenance, StepOutcome, StepReport};
 use crate::error::{Error, Result};
 use crate::frame::{FrameCapacity, LaunchSizes, ScenePlan, frame_fits_device, gaussians_with, planes};
 use crate::render::{DeviceScene, FrameCounts, Release, frozen_capacity};
@@ -45,6 +45,21 @@ impl Default for StepReservation {
     }
 }
 
+/// Report of [`Trainer::maintain`](super::Trainer::maintain).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Maintenance {
+    /// Report of the densification, if one was due.
+    pub densified: Option<Densified>,
+    /// True if opacities were reset.
+    pub opacities_reset: bool,
+    /// True if the capacity grew after an overflow.
+    pub grown: bool,
+    /// Iteration that was skipped, because its frame exceeds the largest possible capacity: see
+    /// [`Trainer::step`](super::Trainer::step).
+    pub skipped: Option<u32>,
+}
+
 impl Trainer {
     /// Builds all kernels and allocates everything that recorded steps need, replacing the previous reservation. Submits and
     /// waits. Before the call, the whole command buffers of all steps must have finished
@@ -61,9 +76,7 @@ impl Trainer {
             let problem = "lie in a file: recorded steps need all of them on the device";
             return Err(Error::argument("photographs", problem));
         }
-        if self.settle()? > 0 {
-            return Err(Error::argument("training steps", "are in flight: wait for them first"));
-        }
+        self.check_none_in_flight()?;
         self.recorded.slots.clear();
         self.recorded.frame_is_ready = false;
         self.runner.store.set_at_least(wanted.visible, wanted.instances);
@@ -144,6 +157,13 @@ impl Trainer {
         })
     }
 
+    fn check_none_in_flight(&mut self) -> Result<()> {
+        match self.settle()? {
+            0 => Ok(()),
+            _ => Err(Error::argument("training steps", "are in flight: wait for them first")),
+        }
+    }
+
     /// Updates the state from recorded steps that have finished. Returns the number still in flight. Never waits.
     pub fn settle(&mut self) -> Result<u32> {
         let settled = self.settle_finished();
@@ -190,26 +210,23 @@ impl Trainer {
         let RecordedSteps { slots, in_flight, .. } = &mut self.recorded;
         let is_recorded = |step: &InFlight| slots[step.slot].recording.is_recorded();
         let Some(first) = in_flight.iter().position(|step| !is_recorded(step)) else { return Ok(()) };
-        if in_flight.range(first..).any(is_recorded) {
-            self.state.broken = true;
-            let problem =
-                "a step was thrown away, but not those recorded behind it; continue from a checkpoint";
-            return Err(Error::argument("training steps", problem));
-        }
-        let late = in_flight.range(first..).any(|step| slots[step.slot].recording.was_discarded_late());
-        in_flight.truncate(first);
-        if late {
-            self.state.broken = true;
-            let problem = "a step was discarded after it had been executed; continue from a checkpoint";
-            return Err(Error::argument("training steps", problem));
-        }
-        Ok(())
+        let discarded = in_flight.range(first..);
+        let problem = match discarded.clone().any(is_recorded) {
+            true => "a step was thrown away, but not those recorded behind it; continue from a checkpoint",
+            false if discarded.clone().any(|step| slots[step.slot].recording.was_discarded_late()) => {
+                in_flight.truncate(first);
+                "a step was discarded after it had been executed; continue from a checkpoint"
+            }
+            false => {
+                in_flight.truncate(first);
+                return Ok(());
+            }
+        };
+        self.state.broken = true;
+        Err(Error::argument("training steps", problem))
     }
 
     /// Outcome of a slot's last step; None without a step, or while it is in flight. Never waits.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
     pub fn step_outcome(&mut self, slot: u32) -> Result<Option<StepOutcome>> {
         self.settle()?;
         let index = self.slot_index(slot)?;
@@ -249,9 +266,7 @@ impl Trainer {
     /// [`Error::Argument`] while recorded steps are in flight or without a queue; same as [`Trainer::step`].
     pub fn maintain(&mut self) -> Result<Maintenance> {
         self.state.check_whole()?;
-        if self.settle()? > 0 {
-            return Err(Error::argument("training steps", "are in flight: wait for them first"));
-        }
+        self.check_none_in_flight()?;
         if !self.maintenance_is_due()? {
             return Ok(Maintenance::default());
         }
@@ -296,7 +311,7 @@ impl Trainer {
         let (plan, sh_degree) = (&self.state.model.scene.plan, self.run.settings.sh_degree);
         self.runner.reserve(plan, &self.frozen, &self.run.cameras, sh_degree, &drawn)?;
         let frame = self.runner.store.current()?;
-        self.context.run_commands("clear state", |r| r.fill(&frame.state, 0))?;
+        self.context.run("clear state", |r| r.fill(&frame.state, 0))?;
         let dispatches = self.step_dispatches();
         for slot in self.recorded.slots.iter_mut().filter(|slot| slot.dispatches < dispatches) {
             slot.recording = RecordSlot::new(&self.context, dispatches)?;
@@ -350,9 +365,6 @@ impl Trainer {
 
     /// Recording state of a slot, for a host that has discarded its command buffer ([`SlotRecording::discard`]). The host must
     /// then also discard those of all steps recorded later.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved.
     pub fn step_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
         let index = self.slot_index(slot)?;
         Ok(SlotRecording::new(&mut self.recorded.slots[index].recording))

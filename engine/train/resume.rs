@@ -1,43 +1,33 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
 use super::block::SceneBlock;
-use super::checkpoint::{Capacities, Checkpoint, MomentState, StrategyState, StrategyStatistic, Wanted};
+use super::checkpoint::{Capacities, Checkpoint, MomentState, StrategyState, Wanted};
 use super::lens_opt::LensOptimizer;
+use super::memory::STATISTICS_BYTES;
 use super::parts::TrainParts;
 use super::photos::{TrainView, fingerprint_of};
-use super::schedule::Progress;
+use super::schedule::{Actions, Progress};
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
-use super::work::{Actions, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{array_of, planes};
 use crate::scene::WorldFrame;
-use crate::vk::{Buffer, Context};
+use crate::vk::Context;
 
 impl Trainer {
     /// Downloads the state that [`Trainer::resume`] needs.
-    ///
-    /// # Errors
-    /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step with an unknown
-    /// outcome; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
         if let Some(rescued) = &self.state.rescued {
             return Ok((**rescued).clone());
         }
         self.check_readable()?;
         let (model, progress) = (&self.state.model, &self.state.progress);
-        let count = u64::from(model.scene.count);
-        let download = |(statistic, buffer): (&Statistic, &Buffer)| -> Result<StrategyStatistic> {
-            let (name, floats) = (statistic.name.to_owned(), statistic.floats);
-            let bytes = match count {
-                0 => Vec::new(),
-                _ => self.context.download(&buffer.range(0, count * u64::from(floats) * 4))?,
-            };
-            Ok(StrategyStatistic { name, floats, values: bytemuck::pod_collect_to_vec(&bytes) })
+        let statistics = match model.scene.count {
+            0 => Vec::new(),
+            count => {
+                self.context.download(&model.statistics[0].range(0, u64::from(count) * STATISTICS_BYTES))?
+            }
         };
-        let statistics = self.rows.statistics.iter().zip(&model.statistics).map(download);
-        let mut statistics = statistics.collect::<Result<Vec<_>>>()?;
-        let gradient = statistics.remove(0).values;
         let [exposures, lens_effects] = self.appearance_states()?;
         Ok(Checkpoint {
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -55,12 +45,11 @@ impl Trainer {
             due: progress.due,
             gaussians: self.gaussians()?,
             moments: self.moment_state()?,
-            statistics: bytemuck::cast_slice(&gradient).to_vec(),
+            statistics: bytemuck::pod_collect_to_vec(&statistics),
             filters: self.filters()?,
             strategy: StrategyState {
                 name: self.strategy.name().to_owned(),
                 terms: self.recorder.terms().map(str::to_owned).collect(),
-                statistics,
                 values: self.strategy.state(),
             },
             exposures,
@@ -92,9 +81,6 @@ impl Trainer {
     }
 
     /// Same as [`Trainer::resume`], for a run of [`Trainer::with_parts`].
-    ///
-    /// # Errors
-    /// Same as [`Trainer::resume`].
     pub fn resume_with_parts(
         context: &Context,
         views: Vec<TrainView>,
@@ -130,7 +116,6 @@ impl Trainer {
             );
             return Err(Error::argument("checkpoint", problem));
         }
-        trainer.check_statistics(from)?;
         trainer.restore_rows(from)?;
         trainer.losses.appearance.restore(context, [&from.exposures, &from.lens_effects])?;
         if let Some(poses) = &trainer.poses {
@@ -171,28 +156,10 @@ impl Trainer {
         Ok(MomentState::F32(array_of(sets.collect::<Result<Vec<_>>>()?)))
     }
 
-    fn check_statistics(&self, from: &Checkpoint) -> Result<()> {
-        let names = |all: &mut dyn Iterator<Item = (&str, u32)>| -> Vec<String> {
-            all.map(|(name, floats)| format!("{name}[{floats}]")).collect()
-        };
-        let own = &from.strategy.statistics;
-        let there = names(&mut own.iter().map(|statistic| (statistic.name.as_str(), statistic.floats)));
-        let rows = &self.rows.statistics;
-        let here = names(&mut rows[1..].iter().map(|statistic| (statistic.name, statistic.floats)));
-        if there == here {
-            return Ok(());
-        }
-        let problem = format!("has the strategy's statistics {there:?}, this one has {here:?}");
-        Err(Error::argument("checkpoint", problem))
-    }
-
     /// Uploads the state of each Gaussian besides its parameters.
     pub(super) fn restore_rows(&self, from: &Checkpoint) -> Result<()> {
         let (context, model) = (&self.context, &self.state.model);
         context.upload(&model.statistics[0], bytemuck::cast_slice(&from.statistics))?;
-        for (statistic, buffer) in from.strategy.statistics.iter().zip(&model.statistics[1..]) {
-            context.upload(buffer, bytemuck::cast_slice(&statistic.values))?;
-        }
         if self.filter.is_some() {
             planes::upload_filters(context, &model.scene, &from.filters)?;
         }

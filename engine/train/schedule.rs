@@ -2,7 +2,6 @@
 //! the iteration and the progress before it.
 
 use super::settings::{OptimizerType, TrainSettings};
-use super::work::{Actions, Work};
 use crate::frame::{Dropout, RenderSettings};
 use crate::passes::adam::{Rates, Step};
 use crate::passes::appearance::AppearanceStep;
@@ -111,11 +110,6 @@ impl TrainSettings {
     /// Ratio of 30,000 to the run's iterations, at least 1.
     fn shorter(&self) -> f64 {
         (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0)
-    }
-
-    /// Learning rate of the SH coefficients of degree 1 and above.
-    pub fn feature_rest_lr(&self) -> f64 {
-        self.feature_lr * FEATURE_REST_SHARE
     }
 
     /// SH degree in use at an iteration (1-based): rises by one at every `sh_degree_interval`, from at least `sh_degree_start`
@@ -291,6 +285,67 @@ pub(super) fn whole_instances(camera: &Camera, drawn: &Camera, instances: u32, v
     (f64::from(visible) * side * side).max(f64::from(instances)).min(f64::from(u32::MAX)) as u32
 }
 
+/// Work between two steps: a set of up to 32 actions. The strategy interprets them. The two named actions also tell the program
+/// whether the scene is complete, so a strategy must use them in their sense.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Actions(pub u32);
+
+impl Actions {
+    /// Empty set.
+    pub const NONE: Self = Self(0);
+    /// A densification.
+    pub const DENSIFY: Self = Self(1);
+    /// An opacity reset.
+    pub const RESET_OPACITY: Self = Self(2);
+
+    /// Returns the union of both sets.
+    #[must_use]
+    pub const fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Returns the set if the condition holds, otherwise the empty set.
+    #[must_use]
+    pub const fn when(self, condition: bool) -> Self {
+        if condition { self } else { Self::NONE }
+    }
+
+    /// Returns the set without the actions of another set.
+    #[must_use]
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// True if all actions of another set are in this one.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// True if the set is empty.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Returns the action with the lowest bit, which comes first.
+    #[must_use]
+    pub const fn first(self) -> Self {
+        Self(self.0 & self.0.wrapping_neg())
+    }
+}
+
+/// Part of an iteration's work that the strategy decides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Work {
+    /// True if the backward pass adds to the statistics ([`Population::statistics`](super::Population::statistics)).
+    pub accumulates: bool,
+    /// True if the optimiser makes a step.
+    pub optimizes: bool,
+    /// True if that step moves the opacities.
+    pub optimizes_opacity: bool,
+    /// Work before the next iteration.
+    pub actions: Actions,
+}
+
 /// Inputs of a run, apart from the photographs.
 pub(super) struct TrainingRun {
     pub settings: TrainSettings,
@@ -301,13 +356,6 @@ pub(super) struct TrainingRun {
     /// Lens index of each view, counted from 0 in the order of the camera ids.
     pub lens_of_view: Vec<u32>,
     pub views_fingerprint: u64,
-}
-
-impl TrainingRun {
-    /// Number of lenses.
-    pub fn lens_count(&self) -> usize {
-        self.lens_of_view.iter().max().map_or(0, |&last| last as usize + 1)
-    }
 }
 
 /// Progress of a run between two iterations.
@@ -431,7 +479,7 @@ fn optimizer_step(run: &TrainingRun, iteration: u32, progress: &Progress, work: 
         quat: s.rotation_lr * decay,
         log_scale: s.scaling_lr * others,
         sh_dc: s.feature_lr * others,
-        sh_rest: s.feature_rest_lr() * others,
+        sh_rest: s.feature_lr * FEATURE_REST_SHARE * others,
     };
     let (count, opacity_count) = match s.optimizer_type {
         OptimizerType::SparseAdam => (0, 0),

@@ -182,10 +182,7 @@ pub struct TrainOption {
 }
 
 impl TrainOption {
-    /// Checks the value in the given settings.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the name, the value and the allowed range.
+    /// Refuses a value outside its bounds in the given settings.
     pub fn check(&self, settings: &TrainSettings) -> Result<()> {
         /// Upper limit of all numbers; larger ones are mistakes.
         const LARGEST: f64 = 1e6;
@@ -229,25 +226,21 @@ pub(super) trait IsOption: Copy {
     fn value(self) -> OptionValue;
 }
 
-impl IsOption for u32 {
-    const KIND: OptionKind = OptionKind::Integer;
-    fn value(self) -> OptionValue {
-        OptionValue::Integer(self)
-    }
+macro_rules! is_option {
+    ($($kind:ty: $value:ident,)*) => {$(
+        impl IsOption for $kind {
+            const KIND: OptionKind = OptionKind::$value;
+            fn value(self) -> OptionValue {
+                OptionValue::$value(self)
+            }
+        }
+    )*};
 }
 
-impl IsOption for f64 {
-    const KIND: OptionKind = OptionKind::Number;
-    fn value(self) -> OptionValue {
-        OptionValue::Number(self)
-    }
-}
-
-impl IsOption for bool {
-    const KIND: OptionKind = OptionKind::Switch;
-    fn value(self) -> OptionValue {
-        OptionValue::Switch(self)
-    }
+is_option! {
+    u32: Integer,
+    f64: Number,
+    bool: Switch,
 }
 
 /// Declares the settings: a struct with documented fields, and a table of their types, defaults, bounds and descriptions.
@@ -598,10 +591,7 @@ impl TrainSettings {
         Err(Error::argument("warm_up", problem))
     }
 
-    /// Checks that the settings allow the cameras to train on. The trainer calls this before photographs are uploaded.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a lens or a rolling shutter with [`surface`](Self::surface).
+    /// Refuses a lens or a rolling shutter with [`surface`](Self::surface). The trainer calls this before photographs are uploaded.
     pub fn check_cameras<'a>(&self, mut cameras: impl Iterator<Item = &'a Camera>) -> Result<()> {
         let is_pinhole =
             |camera: &Camera| camera.projection == Projection::Perspective && camera.shutter.is_none();
@@ -614,10 +604,7 @@ impl TrainSettings {
         }
     }
 
-    /// Checks that every value is within its bounds. The trainer calls this before any work.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the setting's name, its value and the allowed range.
+    /// Refuses a value outside its bounds, and settings that exclude each other. The trainer calls this before any work.
     pub fn check(&self) -> Result<()> {
         Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
         if self.dropout > MOST_DROPOUT {

@@ -6,12 +6,12 @@ use super::photos::{DepthMaps, Photos};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, TrainingRun, WARM_UP_FACTORS};
 use super::settings::{MomentsType, OptimizerType, ShStorage, TrainSettings};
+use super::strategy::Densified;
 use super::strategy::{StepInputs, Strategy};
-use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
 use crate::frame::{
     FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, RenderSettings, SceneBuffers, SceneSettings,
-    Strips, blocks,
+    Strips, array_of, blocks,
 };
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
@@ -21,17 +21,15 @@ use crate::passes::filter_3d::Filter3d;
 use crate::passes::lens::LensGradient;
 use crate::passes::loss::{LossTerm, NativeLayout, TermData, TermInputs, photo_bytes};
 use crate::passes::pixels::LayoutConverter;
-use crate::render::{FrameCounts, Request};
+use crate::render::{BlendSamples, FrameCounts, Request};
 use crate::scene::{Camera, LENS_PARAMETERS};
-use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder};
+use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder, ScopeTime};
 use std::collections::VecDeque;
 
 /// Kernels of an iteration after its frame.
 pub(super) struct StepRecorder {
     terms: Vec<Box<dyn LossTerm>>,
     term_data: TermData,
-    /// Converts pictures to rows, for terms that read them so.
-    layout: Option<LayoutConverter>,
     sizes: LaunchSizes,
     appearance: Appearance,
     backward: Backward,
@@ -55,8 +53,6 @@ pub(super) struct LossMemory {
     losses: Buffer,
     /// Replaces the frame's, which does not hold the gradient of the inverse depth on all devices.
     image_gradient: Option<Buffer>,
-    /// Pictures by rows, for terms that read them so.
-    rows: Option<PixelRows>,
     /// Photograph reduced to the frame's size or over another background.
     prepared: Option<Buffer>,
     pub appearance: AppearanceMemory,
@@ -64,13 +60,6 @@ pub(super) struct LossMemory {
     lens_gradient: Option<Buffer>,
     /// The losses, then the gradient of the lens.
     pub readback: Buffer,
-}
-
-/// Pictures of a view by rows.
-struct PixelRows {
-    picture: Buffer,
-    gradient: Buffer,
-    photo: Buffer,
 }
 
 /// Total loss and the values of each term.
@@ -143,7 +132,6 @@ impl StepRecorder {
         };
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
-            layout: term_data.rows().then(|| LayoutConverter::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
@@ -161,7 +149,7 @@ impl StepRecorder {
     /// True if no term reads pixels that a photograph's mask hides: those besides the photometric one read no pictures.
     pub fn hides_masked_tiles(&self) -> bool {
         let others = Self::term_data_of(&self.terms[1..]);
-        others.picture.is_none() && !others.inverse_depth
+        !(others.picture || others.inverse_depth)
     }
 
     /// True if steps have the gradient of the camera's pose or lens.
@@ -225,18 +213,9 @@ impl StepRecorder {
     /// Further device buffers of the loss for views of these sizes, one per view.
     pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         let mut requests = vec![("losses", self.losses_bytes())];
-        let largest =
-            |bytes: fn(u32, u32) -> u64| sizes.iter().map(|&(width, height)| bytes(width, height)).max();
         if self.term_data.inverse_depth {
-            requests.push(("image_gradient", largest(LayoutConverter::gradient_bytes).unwrap_or(0)));
-        }
-        if self.term_data.rows() {
-            let pixels = largest(|width, height| u64::from(width) * u64::from(height)).unwrap_or(0);
-            requests.extend([
-                ("picture_rows", 16 * pixels),
-                ("gradient_rows", 16 * pixels),
-                ("photo_rows", 4 * pixels),
-            ]);
+            let each = sizes.iter().map(|&(width, height)| LayoutConverter::gradient_bytes(width, height));
+            requests.push(("image_gradient", each.max().unwrap_or(0)));
         }
         requests.extend(self.preparation.iter().map(|preparation| preparation.request(sizes)));
         requests.extend(self.appearance.requests(sizes));
@@ -258,29 +237,21 @@ impl StepRecorder {
         let lens_gradient = self.lens.as_ref().and_then(|_| device.pop());
         let mut device = device.into_iter();
         let scratch_counts = self.terms.iter().map(|term| term.scratch_requests(sizes).len()).collect();
-        let host = context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?;
-        match (device.next(), <[Buffer; 1]>::try_from(host)) {
-            (Some(losses), Ok([readback])) => {
-                let image_gradient = self.term_data.inverse_depth.then(|| device.next()).flatten();
-                let mut buffers = |count: usize| device.by_ref().take(count).collect::<Vec<_>>();
-                let rows = if self.term_data.rows() { buffers(3) } else { Vec::new() };
-                let rows = <[Buffer; 3]>::try_from(rows).ok();
-                let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
-                let prepared = self.preparation.as_ref().and_then(|_| device.next());
-                let appearance = self.appearance.allocated(context, device)?;
-                Ok(LossMemory {
-                    scratch_counts,
-                    losses,
-                    image_gradient,
-                    rows,
-                    prepared,
-                    appearance,
-                    lens_gradient,
-                    readback,
-                })
-            }
-            _ => unreachable!("one buffer per request"),
-        }
+        let [readback] =
+            array_of(context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?);
+        let [losses] = array_of(device.by_ref().take(1).collect());
+        let image_gradient = self.term_data.inverse_depth.then(|| device.next()).flatten();
+        let prepared = self.preparation.as_ref().and_then(|_| device.next());
+        let appearance = self.appearance.allocated(context, device)?;
+        Ok(LossMemory {
+            scratch_counts,
+            losses,
+            image_gradient,
+            prepared,
+            appearance,
+            lens_gradient,
+            readback,
+        })
     }
 
     /// Records the work after a frame. `losses` is a host-readable copy. If the frame overflowed, persistent state does not
@@ -293,35 +264,21 @@ impl StepRecorder {
         r.barrier();
         let accumulate = plan.work.accumulates;
         let statistics = Statistics { buffer: &model.statistics[0], accumulate };
-        let hooks = parts.strategy.records();
-        self.backward.record(
-            r,
-            inputs,
-            gradient,
-            statistics,
-            self.backward_form(self.absolute && accumulate),
-        );
-        let step = StepInputs {
-            frame: inputs,
-            moments: &model.moments,
-            statistics: &model.statistics,
-            iteration: plan.iteration,
-            step: &plan.step,
-            settings: &parts.run.settings,
-            scene_extent: parts.run.scene_extent,
-        };
-        if hooks.statistics {
-            r.barrier();
-            parts.strategy.record_statistics(r, &step);
-        }
+        let form = self.backward_form(self.absolute && accumulate);
+        self.backward.record(r, inputs, gradient, statistics, form);
         if plan.work.optimizes {
             r.barrier();
             let direct = &model.parameter_gradients;
             self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
-            if hooks.update {
-                r.barrier();
-                parts.strategy.record_update(r, &step);
-            }
+            let step = StepInputs {
+                frame: inputs,
+                moments: &model.moments,
+                iteration: plan.iteration,
+                step: &plan.step,
+                settings: &parts.run.settings,
+                scene_extent: parts.run.scene_extent,
+            };
+            parts.strategy.record_update(r, &step);
             self.appearance.record_step(r, &self.appearance_inputs(inputs, parts));
             // The frame has its own copy of its camera.
             if let Some(poses) = parts.poses {
@@ -345,18 +302,11 @@ impl StepRecorder {
         let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
         let prepared = self.preparation.as_ref().and_then(|preparation| preparation.record(r, parts));
         let photo = prepared.unwrap_or(photo);
-        let rows = self.layout.as_ref().zip(memory.rows.as_ref());
         if self.term_data.inverse_depth {
             r.fill(gradient, 0);
         }
         model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
-        if let Some((layout, rows)) = rows {
-            layout.record_picture(r, inputs, &rows.picture);
-            let size = (inputs.camera.width, inputs.camera.height);
-            layout.record_photo(r, size, photo_is_masked, photo, &rows.photo);
-        }
-        // The gradient of the inverse depth may be native, without rows.
-        if self.term_data.inverse_depth || self.term_data.parameters || rows.is_some() {
+        if self.term_data.inverse_depth || self.term_data.parameters {
             r.barrier();
         }
         let rendered = inputs.buffers.rendered(&self.sizes);
@@ -369,26 +319,16 @@ impl StepRecorder {
             if row > 0 {
                 r.barrier();
             }
-            let by_rows = rows.filter(|_| term.data().rows());
-            if let Some((_, rows)) = by_rows {
-                r.fill(&rows.gradient, 0);
-                r.barrier();
-            }
-            // Only the photometric term, which comes first, compares with a photograph.
-            let picture = as_photographed.filter(|_| row == 0).unwrap_or(rendered);
-            let (picture, photo, image_gradient) = match by_rows {
-                Some((_, rows)) => (&rows.picture, &rows.photo, &rows.gradient),
-                None => (picture, photo, gradient),
-            };
             let inputs = TermInputs {
                 frame: inputs,
-                picture,
+                // Only the photometric term, which comes first, compares with a photograph.
+                picture: as_photographed.filter(|_| row == 0).unwrap_or(rendered),
                 photo,
                 photo_is_masked,
                 inverse_depth_map: parts.maps.of(plan.view),
                 depth_points: parts.maps.points_of(plan.view),
                 iteration: plan.iteration,
-                image_gradient,
+                image_gradient: gradient,
                 parameter_gradients: &model.parameter_gradients,
                 scratch,
                 losses: &memory.losses,
@@ -397,10 +337,6 @@ impl StepRecorder {
             term.record(r, &inputs);
             if row == 0 {
                 self.appearance.record_backward(r, &appearance, gradient);
-            }
-            if let Some((layout, rows)) = by_rows {
-                r.barrier();
-                layout.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
             }
         }
     }
@@ -524,10 +460,7 @@ pub(super) struct InFlight {
 impl StepSlot {
     pub fn new(context: &Context, dispatches: usize, losses: (&'static str, u64)) -> Result<Self> {
         let host = [("state_readback", u64::from(STATE_WORDS) * 4), losses];
-        let host = context.allocate("step slot", &host, MemoryKind::HostVisible)?;
-        let Ok([counts, losses]) = <[Buffer; 2]>::try_from(host) else {
-            unreachable!("one buffer per request")
-        };
+        let [counts, losses] = array_of(context.allocate("step slot", &host, MemoryKind::HostVisible)?);
         Ok(Self {
             recording: RecordSlot::new(context, dispatches)?,
             counts,
@@ -542,6 +475,68 @@ impl StepSlot {
         self.counts.read(0, &mut bytes)?;
         Ok(FrameCounts::of(&bytes))
     }
+}
+
+/// Report of a step.
+#[derive(Clone, Debug, Default)]
+pub struct StepReport {
+    /// Iteration, counted from 1.
+    pub iteration: u32,
+    /// True if the iteration was skipped, because its frame has more visible Gaussians or (tile, Gaussian) instances than the
+    /// device or the memory can hold. A skipped iteration changes nothing, and its losses are NaN. See
+    /// [`Trainer::step`](super::Trainer::step).
+    pub skipped: bool,
+    /// Loss before the step: the sum of its terms.
+    pub loss: f32,
+    /// Mean absolute difference of the colours.
+    pub l1: f32,
+    /// Mean SSIM.
+    pub ssim: f32,
+    /// Name and weighted value of each loss term. The first is (1 - λ) L1 + λ (1 - SSIM).
+    pub terms: Vec<(&'static str, f32)>,
+    /// Number of Gaussians in the step.
+    pub gaussians: u32,
+    /// Number of visible Gaussians in the step's view.
+    pub visible: u32,
+    /// Number of (tile, Gaussian) instances in the step's view.
+    pub instances: u32,
+    /// Number of instances in the longest tile of the step's view.
+    pub longest_tile: u32,
+    /// Counts of blending samples, if enabled.
+    pub samples: BlendSamples,
+    /// Number of Gaussians that did not change because their gradient was not finite.
+    pub skipped_non_finite: u32,
+    /// Wall time of the step; 0 for a recorded step.
+    pub milliseconds: f64,
+    /// Index of the view.
+    pub view: usize,
+    /// Report of the densification before the step, if the previous iteration requested one. For recorded steps see
+    /// [`Maintenance`](super::Maintenance).
+    pub densified: Option<Densified>,
+    /// Device time per stage.
+    pub scopes: Vec<ScopeTime>,
+}
+
+/// Outcome of a recorded step that has finished.
+#[derive(Clone, Debug)]
+pub enum StepOutcome {
+    /// The step was executed.
+    Done(StepReport),
+    /// The step changed nothing, because its frame or that of an earlier step overflowed.
+    /// [`Trainer::maintain`](super::Trainer::maintain) grows the capacity, and the iteration is recorded again.
+    Overflowed {
+        /// Iteration to repeat.
+        iteration: u32,
+        /// Number of visible Gaussians that the step needs.
+        visible_needed: u32,
+        /// Capacity of the step in visible Gaussians.
+        visible_capacity: u32,
+        /// Number of (tile, Gaussian) instances that the step needs. If visible Gaussians overflowed, counts only those that
+        /// fit.
+        instances_needed: u32,
+        /// Capacity of the step in instances.
+        instance_capacity: u32,
+    },
 }
 
 impl StepReport {

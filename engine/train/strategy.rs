@@ -1,26 +1,56 @@
 //! Adaptive density control as a replaceable part of training.
 //!
 //! A strategy decides what an iteration accumulates, how the set of Gaussians changes between two steps, and what it adds to
-//! the parameters and the loss. It declares its memory and its part of the checkpoint. [`Reference`](super::Reference) is the
-//! strategy of Kerbl et al. 2023.
+//! the parameters. It declares its part of the checkpoint. [`Reference`] is the strategy of Kerbl et al. 2023.
 
-pub use super::work::{Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
+mod budget;
+mod mcmc;
+mod rebuild;
+mod reference;
+
+pub use budget::{Budget, GrowthSchedule, QuantilePlace};
+pub use mcmc::Mcmc;
+pub use reference::Reference;
+
+pub use super::schedule::{Actions, Work};
 
 use super::population::Population;
-use super::settings::TrainSettings;
+use super::settings::{StrategyType, TrainSettings};
 use crate::error::{Error, Result};
 use crate::frame::FrameInputs;
 use crate::passes::adam::{Moments, Step};
-use crate::passes::loss::LossTerm;
-use crate::vk::{Buffer, Context, Recorder};
+use crate::vk::{Context, Recorder};
 
-/// Parts of a step that a strategy records.
+/// Outcome of [`Strategy::between_steps`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Hooks {
-    /// True if [`Strategy::record_statistics`] is called.
-    pub statistics: bool,
-    /// True if [`Strategy::record_update`] is called, after steps of the optimiser.
-    pub update: bool,
+pub struct Changes {
+    /// Change of the set of Gaussians, if any.
+    pub densified: Option<Densified>,
+    /// True if opacities were reset.
+    pub opacities_reset: bool,
+}
+
+/// Report of a densification.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Densified {
+    /// Number of Gaussians before.
+    pub before: u32,
+    /// Number of Gaussians that stayed.
+    pub kept: u32,
+    /// Number of added clones.
+    pub cloned: u32,
+    /// Number of Gaussians that were replaced by two each.
+    pub split: u32,
+    /// True if memory or the device's limits were too small. Then only the Gaussians with the largest gradients were cloned or
+    /// split, or none were pruned.
+    pub limited: bool,
+}
+
+impl Densified {
+    /// Number of Gaussians afterwards.
+    pub fn rows(&self) -> u32 {
+        self.kept + self.cloned + 2 * self.split
+    }
 }
 
 /// Inputs of a step for a strategy's recordings.
@@ -30,8 +60,6 @@ pub struct StepInputs<'a> {
     pub frame: &'a FrameInputs<'a>,
     /// Adam's moments.
     pub moments: &'a Moments,
-    /// [`GRADIENT_STATISTIC`], then those of [`Strategy::statistics`].
-    pub statistics: &'a [Buffer],
     /// Iteration, counted from 1.
     pub iteration: u32,
     /// Step of the optimiser, with its learning rates.
@@ -62,39 +90,19 @@ pub trait Strategy: Send {
     /// Work of an iteration, counted from 1. Depends only on its arguments.
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work;
 
-    /// Returns the terms that the strategy adds to the loss. Called once.
-    fn loss_terms(&mut self, _: &Context, _: &TrainSettings) -> Result<Vec<Box<dyn LossTerm>>> {
-        Ok(Vec::new())
-    }
-
-    /// Statistics of the strategy besides [`GRADIENT_STATISTIC`]. The trainer allocates their memory and keeps them in the
-    /// checkpoint.
-    fn statistics(&self) -> Vec<Statistic> {
-        Vec::new()
-    }
-
-    /// True if [`GRADIENT_STATISTIC`] sums norms of absolute gradients.
+    /// True if [`Population::statistics`] sums norms of absolute gradients.
     fn absolute_gradients(&self) -> bool {
         false
     }
 
-    /// Recordings that the strategy uses. The trainer does not call the others.
-    fn records(&self) -> Hooks {
-        Hooks::default()
-    }
-
-    /// True if the strategy selects the Gaussians that it adds by [`GRADIENT_STATISTIC`]. In training
-    /// of a [block](super::SceneBlock) Gaussians outside the core are then below every threshold.
+    /// True if the strategy selects the Gaussians that it adds by [`Population::statistics`]. In training of a
+    /// [block](super::SceneBlock) Gaussians outside the core are then below every threshold.
     fn grows_by_statistics(&self) -> bool {
         true
     }
 
-    /// Records the update of the strategy's own statistics, after the backward pass. A barrier precedes it. It must change
-    /// nothing if `state[STATE_OVERFLOW]` is set.
-    fn record_statistics(&self, _: &mut Recorder, _: &StepInputs) {}
-
-    /// Records the strategy's changes of the parameters, after the optimiser's step. A barrier precedes it. It must change
-    /// nothing if `state[STATE_OVERFLOW]` is set.
+    /// Records the strategy's changes of the parameters, after the optimiser's step and behind a barrier of its own. It must
+    /// change nothing if `state[STATE_OVERFLOW]` is set.
     fn record_update(&self, _: &mut Recorder, _: &StepInputs) {}
 
     /// Does one action of an iteration's [`Work::actions`] before the next iteration, the lowest bit first.
@@ -131,4 +139,35 @@ pub(super) const NOT_IN_OTHERS: [&str; 7] =
 pub(super) fn unknown(strategy: &str, action: Actions) -> Error {
     let problem = format!("has work ({:#x}) that the strategy {strategy} does not know", action.0);
     Error::argument("checkpoint", problem)
+}
+
+/// Returns the strategy that the settings select.
+pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Box<dyn Strategy>> {
+    Ok(match settings.strategy {
+        StrategyType::Reference => Box::new(Reference::of_settings(context, settings)?),
+        StrategyType::Fixed => Box::new(Fixed),
+        StrategyType::Mcmc => Box::new(Mcmc::new(context)?),
+        StrategyType::Budget => Box::new(Budget::new(context, settings)?),
+    })
+}
+
+/// Optimises the initial Gaussians, and neither adds nor removes any.
+pub struct Fixed;
+
+impl Strategy for Fixed {
+    fn name(&self) -> &'static str {
+        "fixed"
+    }
+
+    fn check(&self, settings: &TrainSettings, _: u32) -> Result<()> {
+        settings.refuse(self.name(), &NOT_IN_OTHERS)
+    }
+
+    fn work(&self, _: &TrainSettings, _: u32) -> Work {
+        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::NONE }
+    }
+
+    fn between_steps(&mut self, _: &mut Population, _: Actions) -> Result<Changes> {
+        Ok(Changes::default())
+    }
 }

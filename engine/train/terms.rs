@@ -8,7 +8,7 @@ use crate::kernels::loss::{
     inverse_depth_l1, regularize, sparse_depth, sparse_depth_gather, surface_alignment, surface_depth,
     surface_planarity, term_reduce,
 };
-use crate::passes::loss::{LossTerm, PixelLayout, TermData, TermInputs};
+use crate::passes::loss::{LossTerm, TermData, TermInputs};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Returns the terms with a weight above 0.
@@ -86,7 +86,7 @@ impl LossTerm for InverseDepth {
     }
 
     fn data(&self) -> TermData {
-        TermData { picture: Some(PixelLayout::Native), inverse_depth: true, ..TermData::default() }
+        TermData { picture: true, inverse_depth: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -221,8 +221,7 @@ impl LossTerm for SparseDepth {
     }
 
     fn data(&self) -> TermData {
-        let picture = Some(PixelLayout::Native);
-        TermData { picture, inverse_depth: true, linear_depth: true, ..TermData::default() }
+        TermData { picture: true, inverse_depth: true, linear_depth: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -321,8 +320,7 @@ impl LossTerm for Surface {
     }
 
     fn data(&self) -> TermData {
-        let picture = Some(PixelLayout::Native);
-        TermData { picture, inverse_depth: true, parameters: true, ..TermData::default() }
+        TermData { picture: true, inverse_depth: true, parameters: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {

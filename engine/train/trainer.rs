@@ -11,9 +11,8 @@ use super::population::{Population, may_have_executed};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, Schedule, TrainingRun};
 use super::settings::TrainSettings;
-use super::step::{LossMemory, RecordedSteps, StepParts, StepRecorder};
-use super::strategy::Strategy;
-use super::work::{Actions, Changes, StepReport, Work};
+use super::step::{LossMemory, LossValues, RecordedSteps, StepParts, StepRecorder, StepReport};
+use super::strategy::{Actions, Changes, Strategy, Work};
 use crate::error::{Error, Result};
 use crate::frame::{
     Blending, PictureCapacity, RenderSettings, SceneBuffers, gaussians_with, planes, subgroups, to_u32,
@@ -127,9 +126,6 @@ impl Trainer {
     }
 
     /// Same as [`Trainer::new`], but with a strategy or loss terms that the settings cannot name.
-    ///
-    /// # Errors
-    /// Same as [`Trainer::new`].
     pub fn with_parts(
         context: &Context,
         views: Vec<TrainView>,
@@ -318,10 +314,6 @@ impl Trainer {
     }
 
     /// Renders the current scene. Uses the SH degree of this iteration if `settings.sh_degree` is None.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an invalid camera, while recorded steps are in flight, and after a step with
-    /// an unknown outcome; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let settings = self.at_current_degree(settings);
         self.draw(|renderer| renderer.render(camera, &settings))
@@ -369,10 +361,6 @@ impl Trainer {
     }
 
     /// Downloads the Gaussians.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown outcome; when
-    /// the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.check_readable()?;
         planes::download(&self.context, &self.state.model.scene)
@@ -380,9 +368,6 @@ impl Trainer {
 
     /// Downloads the Gaussians. The 3D filter, if any, is merged into scales and opacities, so that any renderer draws them
     /// alike.
-    ///
-    /// # Errors
-    /// Same as [`Trainer::gaussians`].
     pub fn baked_gaussians(&self) -> Result<Gaussians> {
         let mut gaussians = self.gaussians()?;
         if self.filter.is_some() {
@@ -392,9 +377,6 @@ impl Trainer {
     }
 
     /// Sizes of Mip-Splatting's 3D filter, world units, one per Gaussian; empty without [`TrainSettings::filter_3d`].
-    ///
-    /// # Errors
-    /// Same as [`Trainer::gaussians`].
     pub fn filters(&self) -> Result<Vec<f32>> {
         self.check_readable()?;
         match self.filter {
@@ -422,19 +404,15 @@ impl Trainer {
         let mask = self.block.as_ref().and_then(|block| block.mask.as_ref());
         let Some(mask) = mask.filter(|_| action == Actions::DENSIFY) else { return Ok(()) };
         let model = &self.state.model;
-        self.context
-            .run_commands("mask statistics", |r| mask.record(r, &model.scene, &model.statistics[0]))?;
+        self.context.run("mask statistics", |r| mask.record(r, &model.scene, &model.statistics[0]))?;
         Ok(())
     }
 
     pub(super) fn appearance_states(&self) -> Result<[ExposureState; 2]> {
-        self.losses.appearance.states(&self.context, self.run.lens_count())
+        self.losses.appearance.states(&self.context, &self.run.lens_of_view)
     }
 
     /// Exposures of the views' photographs in their order; empty unless they are learned ([`TrainSettings::exposure`]).
-    ///
-    /// # Errors
-    /// Same as [`Trainer::checkpoint`].
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
         self.check_readable()?;
         let [exposures, _] = self.appearance_states()?;
@@ -442,9 +420,6 @@ impl Trainer {
     }
 
     /// Lens effects of the views' cameras in the views' order; empty unless they are learned ([`TrainSettings::lens_effects`]).
-    ///
-    /// # Errors
-    /// Same as [`Trainer::checkpoint`].
     pub fn lens_effects(&self) -> Result<Vec<LensEffects>> {
         self.check_readable()?;
         let [_, lens_effects] = self.appearance_states()?;
@@ -486,10 +461,7 @@ impl Trainer {
             Err(Failed::OutOfMemory { counts, error }) => self.skip(&plan, &counts, error)?,
             ran => {
                 ran.map_err(Failed::error)?;
-                let losses = self.recorder.read_losses(&self.losses.readback)?;
-                if let Some(lenses) = &mut self.lens_opt {
-                    lenses.step(&mut self.run.cameras, &plan, &losses);
-                }
+                self.read_losses(&plan)?;
                 self.state.progress = before.after(&plan);
             }
         }
@@ -527,16 +499,22 @@ impl Trainer {
             ran => ran.map_err(Failed::error)?,
         };
         self.state.done(progress.after(&plan), PeakCounts::of_whole_frame(&plan, &self.run, &ran.counts));
-        let losses = self.recorder.read_losses(&self.losses.readback)?;
-        if let Some(lenses) = &mut self.lens_opt {
-            lenses.step(&mut self.run.cameras, &plan, &losses);
-        }
+        let losses = self.read_losses(&plan)?;
         Ok(StepReport {
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
             densified,
             scopes: ran.report.scopes,
             ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.counts)
         })
+    }
+
+    /// Reads the losses of a finished step, and makes the lenses' step.
+    fn read_losses(&mut self, plan: &IterationPlan) -> Result<LossValues> {
+        let losses = self.recorder.read_losses(&self.losses.readback)?;
+        if let Some(lenses) = &mut self.lens_opt {
+            lenses.step(&mut self.run.cameras, plan, &losses);
+        }
+        Ok(losses)
     }
 
     /// Number of steps of lenses that were not made, because they would have folded the picture.
@@ -626,16 +604,11 @@ impl Trainer {
         let parts = StepParts { run, model, frozen, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.run(&parts.frame(self.recorder.hides_masked_tiles()), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
-            Ok(())
         })
     }
 
     /// Current cameras of the training views, in the views' order. [`pose_opt`](super::TrainSettings::pose_opt) moves their poses away
     /// from the given ones, [`lens_opt`](super::TrainSettings::lens_opt) their lenses.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown
-    /// outcome; when the device is lost.
     pub fn cameras(&self) -> Result<Vec<Camera>> {
         self.check_readable()?;
         match &self.poses {
@@ -646,9 +619,6 @@ impl Trainer {
 
     /// Total movement of each training view's camera, in the views' order; 0 without
     /// [`pose_opt`](super::TrainSettings::pose_opt).
-    ///
-    /// # Errors
-    /// Same as [`Trainer::cameras`].
     pub fn pose_changes(&self) -> Result<Vec<Twist>> {
         self.check_readable()?;
         let Some(poses) = &self.poses else { return Ok(vec![Twist::default(); self.run.cameras.len()]) };

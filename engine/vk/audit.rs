@@ -26,7 +26,7 @@ pub struct Audit {
 #[non_exhaustive]
 pub struct AuditRecord {
     /// The label of the submission.
-    pub submission: String,
+    pub submission: &'static str,
     /// Index of the command in the submission.
     pub command: u32,
     /// The kernel's name, or "fill", "copy" or "update".
@@ -42,7 +42,7 @@ pub(super) struct Log(Mutex<Vec<AuditRecord>>);
 
 pub(super) struct Commands {
     log: Arc<Log>,
-    pub(super) submission: String,
+    pub(super) submission: &'static str,
     commands: u32,
     snapshots: Vec<(AuditRecord, Buffer)>,
     bytes: u64,
@@ -50,8 +50,7 @@ pub(super) struct Commands {
 }
 
 impl Commands {
-    pub(super) fn begin(log: Arc<Log>, submission: &str) -> Self {
-        let submission = submission.to_owned();
+    pub(super) fn begin(log: Arc<Log>, submission: &'static str) -> Self {
         Self { log, submission, commands: 0, snapshots: Vec::new(), bytes: 0, failure: None }
     }
 
@@ -76,7 +75,7 @@ impl Commands {
                 Err(error) => self.failure = self.failure.take().or(Some(error)),
                 Ok(mut allocated) => {
                     let to = allocated.swap_remove(0).range(0, from.bytes());
-                    let (submission, buffer) = (self.submission.clone(), from.name());
+                    let (submission, buffer) = (self.submission, from.name());
                     let record = AuditRecord { submission, command, kernel, buffer, hash: 0 };
                     self.snapshots.push((record, to.clone()));
                     self.bytes += to.bytes();

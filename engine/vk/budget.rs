@@ -27,7 +27,7 @@ impl Context {
     /// [`crate::Error::Vulkan`] when the device has no memory left.
     pub fn allocate(
         &self,
-        arena: &str,
+        arena: &'static str,
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
@@ -36,12 +36,9 @@ impl Context {
 
     /// Same as [`Context::allocate`], but buffers share memory if their `lives`, one per request, have no step in common.
     /// Requests without an entry share none.
-    ///
-    /// # Errors
-    /// Same as [`Context::allocate`].
     pub fn allocate_shared(
         &self,
-        arena: &str,
+        arena: &'static str,
         requests: &[(&'static str, u64)],
         lives: &[Life],
         kind: MemoryKind,
@@ -103,7 +100,7 @@ impl Context {
         blocks.sort_by_key(Buffer::memory_id);
         blocks.dedup_by_key(|block| block.memory_id());
         let clear = |recorder: &mut Recorder| blocks.iter().for_each(|block| recorder.fill(block, 0));
-        self.run_commands("clear", clear).map(drop)
+        self.run("clear", clear).map(drop)
     }
 
     /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and forgets empty
@@ -219,9 +216,6 @@ impl Context {
     }
 
     /// Returns the names of living buffers with writes outside them; see [`super::ContextOptions::guard_bands`].
-    ///
-    /// # Errors
-    /// When a band cannot be read.
     pub fn breached_guards(&self) -> Result<Vec<&'static str>> {
         let blocks = lock(&self.logs.guarded).clone();
         let mut breached = Vec::new();
@@ -326,8 +320,8 @@ impl Context {
 
     /// Allocates a buffer in a memory type. None if it does not fit, or no buffer may use this type.
     fn of_type(&self, index: u32, bytes: u64) -> Result<Option<Buffer>> {
-        let (arena, kind) = ("measurement".into(), MemoryKind::HostVisible);
-        match Block::new(&self.device, (&arena, 0), bytes, kind, 1 << index) {
+        let (arena, kind) = ("measurement", MemoryKind::HostVisible);
+        match Block::new(&self.device, (arena, 0), bytes, kind, 1 << index) {
             Ok(block) => Ok(Some(Buffer::new(Arc::new(block), 0, bytes, "host"))),
             Err(error @ Error::DeviceLost { .. }) => Err(error),
             Err(_) => Ok(None),
@@ -338,7 +332,7 @@ impl Context {
         let mut best = f64::INFINITY;
         for _ in 0..ROUNDS {
             let begin = Instant::now();
-            let report = self.run_commands("measurement", |recorder| recorder.copy(from, to))?;
+            let report = self.run("measurement", |recorder| recorder.copy(from, to))?;
             let waited = begin.elapsed().as_secs_f64();
             best = best.min(if report.nanoseconds > 0.0 { report.nanoseconds * 1e-9 } else { waited });
         }

@@ -4,7 +4,7 @@ use super::debug::vk_error;
 use super::lock::lock;
 use super::open_device::{CopyQueue, Device, LockedQueue};
 use super::pipeline::DescriptorSets;
-use super::profile::{MAX_SCOPES, QUERIES};
+use super::profile::QUERIES;
 use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::atomic::Ordering;
@@ -98,28 +98,21 @@ pub(super) struct Commands {
 }
 
 impl Commands {
-    /// Begins a recording. With `every_command`, it has queries for each command.
-    pub(super) fn begin(pools: &Arc<Pools>, label: &str, every_command: bool) -> Result<Self> {
-        Self::on(pools, None)?.begun(label, every_command)
-    }
-
-    /// Begins a recording for the copy queue, or for the main queue if there is none.
-    pub(super) fn begin_copies(pools: &Arc<Pools>, label: &str) -> Result<Self> {
-        Self::on(pools, pools.device.copying.as_ref())?.begun(label, false)
-    }
-
-    fn on(pools: &Arc<Pools>, copying: Option<&CopyQueue>) -> Result<Self> {
+    /// Begins a recording for the copy queue, or else for the main queue. It has `queries` for timestamps, if the device does.
+    pub(super) fn begin(
+        pools: &Arc<Pools>,
+        copying: Option<&CopyQueue>,
+        label: &str,
+        queries: u32,
+    ) -> Result<Self> {
         let (inner, copies) = (&pools.device, copying.is_some());
         let family = copying.map_or(inner.queue_family, |copying| copying.family);
         let free = lock(&pools.slots[usize::from(copies)]).pop();
         let slot = free.map_or_else(|| Slot::new(inner, family, !copies), Ok)?;
         let free = || lock(&pools.descriptors).pop();
         let descriptors = if copies { None } else { free().or_else(|| DescriptorSets::new(inner)) };
-        Ok(Self { pools: pools.clone(), inner: inner.clone(), slot, copies, submitted: false, descriptors })
-    }
-
-    fn begun(self, label: &str, every_command: bool) -> Result<Self> {
-        let (inner, slot) = (&self.inner, self.slot);
+        let (pools, own) = (pools.clone(), inner.clone());
+        let commands = Self { pools, inner: own, slot, copies, submitted: false, descriptors };
         inner.names.name(slot.commands, label);
         let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer is in the initial state (new, or its pool was reset) and this thread's alone; the
@@ -127,15 +120,14 @@ impl Commands {
         unsafe {
             let begun = inner.device.begin_command_buffer(slot.commands, &info);
             begun.map_err(vk_error("vkBeginCommandBuffer"))?;
-            if slot.queries != vk::QueryPool::null() {
-                let count = if every_command { QUERIES } else { 2 * MAX_SCOPES };
-                inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, count);
+            if queries > 0 && slot.queries != vk::QueryPool::null() {
+                inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, queries);
             }
         }
         // Makes the writes of all earlier submissions visible, including those not waited for.
         let all = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
-        self.barrier_after_all(vk::PipelineStageFlags2::ALL_COMMANDS, all);
-        Ok(self)
+        commands.barrier_after_all(vk::PipelineStageFlags2::ALL_COMMANDS, all);
+        Ok(commands)
     }
 
     pub(super) fn raw(&self) -> vk::CommandBuffer {

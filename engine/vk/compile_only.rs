@@ -9,15 +9,13 @@
 use super::debug::vk_error;
 use crate::error::Result;
 use ash::vk::{self, Handle};
-use std::alloc::{Layout, alloc_zeroed, dealloc};
+use std::alloc::{Layout, alloc_zeroed};
 use std::ffi::{CStr, c_char, c_void};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Reported size of device memory. The driver may have none.
 const HEAP_BYTES: u64 = 1 << 40;
 const ALIGNMENT: u64 = 256;
-/// Alignment of the host memory. Up to this alignment the system provides zeros without writing them.
-const HOST_ALIGNMENT: usize = 16;
 
 pub(super) fn memory_properties() -> vk::PhysicalDeviceMemoryProperties {
     let mut memory = vk::PhysicalDeviceMemoryProperties {
@@ -86,11 +84,6 @@ unsafe fn make<T: Handle>(out: *mut T) {
     static NEXT: AtomicU64 = AtomicU64::new(1);
     // SAFETY: the caller's word.
     unsafe { out.write(T::from_raw(NEXT.fetch_add(1, Ordering::Relaxed))) };
-}
-
-struct Memory {
-    start: *mut u8,
-    layout: Layout,
 }
 
 type Callbacks = *const vk::AllocationCallbacks<'static>;
@@ -217,17 +210,17 @@ unsafe extern "system" fn allocate_memory(
     _: Callbacks,
     out: *mut vk::DeviceMemory,
 ) -> vk::Result {
-    // SAFETY: the caller's pointers; the layout is not empty.
+    // SAFETY: the caller's pointers; the layout is not empty, and that of the vector, which owns the zeros.
     unsafe {
-        let bytes = usize::try_from((*info).allocation_size).unwrap_or(usize::MAX).max(1);
-        let Ok(layout) = Layout::from_size_align(bytes, HOST_ALIGNMENT) else {
-            return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
-        };
+        let count = (*info).allocation_size.div_ceil(8).max(1) as usize;
+        let Ok(layout) = Layout::array::<u64>(count) else { return vk::Result::ERROR_OUT_OF_HOST_MEMORY };
+        // The system provides zeros without writing them.
         let start = alloc_zeroed(layout);
         if start.is_null() {
             return vk::Result::ERROR_OUT_OF_DEVICE_MEMORY;
         }
-        out.write(vk::DeviceMemory::from_raw(Box::into_raw(Box::new(Memory { start, layout })) as u64));
+        let words = Vec::from_raw_parts(start.cast::<u64>(), count, count);
+        out.write(vk::DeviceMemory::from_raw(Box::into_raw(Box::new(words)) as u64));
     }
     vk::Result::SUCCESS
 }
@@ -235,10 +228,7 @@ unsafe extern "system" fn allocate_memory(
 unsafe extern "system" fn free_memory(_: vk::Device, memory: vk::DeviceMemory, _: Callbacks) {
     if memory != vk::DeviceMemory::null() {
         // SAFETY: a handle of `allocate_memory`, which is freed once.
-        unsafe {
-            let memory = Box::from_raw(memory.as_raw() as *mut Memory);
-            dealloc(memory.start, memory.layout);
-        }
+        drop(unsafe { Box::from_raw(memory.as_raw() as *mut Vec<u64>) });
     }
 }
 
@@ -251,7 +241,10 @@ unsafe extern "system" fn map_memory(
     out: *mut *mut c_void,
 ) -> vk::Result {
     // SAFETY: a handle of `allocate_memory`; the caller's offset lies within.
-    unsafe { out.write((*(memory.as_raw() as *const Memory)).start.add(offset as usize).cast()) };
+    unsafe {
+        let words = &mut *(memory.as_raw() as *mut Vec<u64>);
+        out.write(words.as_mut_ptr().byte_add(offset as usize).cast());
+    }
     vk::Result::SUCCESS
 }
 

@@ -16,12 +16,12 @@ use super::lock::lock;
 use super::memory::Block;
 use super::memory::UNBOUNDED;
 use super::memory_types::{HostAllocator, Place, Registry};
-use super::open_device::{Clock, CopyQueue, Device, LockedQueue, Owner, QueueLock};
+use super::open_device::RawDevice;
+use super::open_device::{CopyQueue, Device, Owner, QueueLock};
 use super::pipeline::{Jobs, add_shared_layouts};
 use super::pipeline_cache::{BuiltPipelines, PipelineCache, PipelineCacheStore};
 use super::profile;
 use super::profile::Profile;
-use super::raw_device::RawDevice;
 use super::requirements::{Features, Requirements};
 use super::spirv::{Reconvergence, SubgroupRules};
 use super::staging::Ring;
@@ -33,19 +33,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
-/// An open device with its queue. Cheap to clone; buffers, kernels and recordings keep it open.
-///
-/// # Examples
-/// ```no_run
-/// use ashsplat::vk::{Context, ContextOptions};
-///
-/// # fn main() -> ashsplat::Result<()> {
-/// let options = ContextOptions { device: Some("llvmpipe".into()), ..ContextOptions::default() };
-/// let context = Context::new(&options)?;
-/// println!("{}, subgroups of {}", context.device_name(), context.limits().subgroup_size);
-/// # Ok(())
-/// # }
-/// ```
+/// An open device with its queue. Cheap to clone; buffers, kernels and recordings keep it open. See the
+/// [guide](crate::guide::first_frame).
 #[derive(Clone)]
 pub struct Context {
     pub(super) device: Arc<Device>,
@@ -68,11 +57,6 @@ pub(super) struct Logs {
 }
 
 impl Context {
-    pub(super) fn on(device: Arc<Device>) -> Self {
-        let pools = Arc::new(Pools::new(device.clone()));
-        Self { pools, logs: Arc::default(), staging: Arc::default(), jobs: None, device }
-    }
-
     /// Returns the device's limits, as changed by the options.
     pub fn limits(&self) -> &Limits {
         &self.device.limits
@@ -185,10 +169,10 @@ impl Context {
     ///
     /// # Errors
     /// [`Error::Argument`](crate::Error::Argument) if a host keeps its queue.
-    pub fn hold_queues(&self) -> Result<HeldQueues<'_>> {
+    pub fn hold_queues(&self) -> Result<impl Sized> {
         // Only this function takes both locks, so their order cannot deadlock.
         let main = self.device.lock_queue()?;
-        Ok(HeldQueues { _main: main, _copies: self.device.copying.as_ref().map(|copies| copies.lock()) })
+        Ok((main, self.device.copying.as_ref().map(|copies| copies.lock())))
     }
 
     /// Hashes the outputs of all following commands, until the audit is dropped.
@@ -197,12 +181,6 @@ impl Context {
         *lock(&self.logs.audit) = Arc::downgrade(&log);
         Audit { log }
     }
-}
-
-/// Locked queues of a context, owned by the holding thread: [`Context::hold_queues`].
-pub struct HeldQueues<'a> {
-    _main: LockedQueue<'a>,
-    _copies: Option<LockedQueue<'a>>,
 }
 
 /// Options for opening a device.
@@ -293,10 +271,6 @@ impl ContextOptions {
         let parsed = named.map(|name| name.to_string_lossy().parse());
         parsed.transpose().map_err(|problem: String| Error::argument("ASHSPLAT_BACKEND", problem))
     }
-
-    fn least_version(&self) -> u32 {
-        if self.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 }
-    }
 }
 
 impl Default for ContextOptions {
@@ -373,7 +347,8 @@ impl Context {
         let instance = Instance::new(options.validation, options.debug_printf, &options.instance_extensions)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
         let requested = options.device.clone().or(from_environment);
-        let mut candidate = device::choose(&instance.raw, requested.as_deref(), options.least_version())?;
+        let least = if options.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 };
+        let mut candidate = device::choose(&instance.raw, requested.as_deref(), least)?;
         candidate.features.push_descriptor &= options.push_descriptors;
         if options.device_extensions.contains(&ash::khr::swapchain::NAME) {
             candidate.queue_family = candidate.presenting_family;
@@ -388,7 +363,6 @@ impl Context {
         if options.compile_only.is_some() {
             // A compile-only device has no times and no budget.
             candidate.features.memory_budget = false;
-            candidate.features.calibrated_timestamps = None;
             limits.heap_bytes = compile_only::memory_properties().memory_heaps[0].size;
         }
         let raw = create_device(&instance.raw, &candidate, options)?;
@@ -457,7 +431,6 @@ impl Context {
         candidate.queue_family = host.queue_family;
         candidate.features.push_descriptor &=
             options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
-        candidate.features.calibrated_timestamps = None;
         candidate.features.keep_enabled(&host.features, host.extensions);
         let limits = effective_limits(&candidate, options)?;
         let owner = Owner::Host(host.instance.clone());
@@ -514,7 +487,6 @@ impl Context {
             }),
             executables: options.compile_only.map(|requested| Executables::new(instance, &device, requested)),
             shared_layouts: None,
-            clock: features.calibrated_timestamps.map(|name| Clock::new(instance, &device, name)),
             names: Names::new(instance, &device, debug_utils),
             device,
             queue: queue.map(Mutex::new),
@@ -566,7 +538,9 @@ impl Context {
         if let (Some(store), false) = (&options.pipeline_cache, foreign || !runs) {
             open.pipeline_cache = PipelineCache::of_store(&open.device, &properties, store.clone())?;
         }
-        Ok(Self::on(Arc::new(open)))
+        let device = Arc::new(open);
+        let pools = Arc::new(Pools::new(device.clone()));
+        Ok(Self { pools, logs: Arc::default(), staging: Arc::default(), jobs: None, device })
     }
 }
 
@@ -637,7 +611,6 @@ fn create_device(
         (optional.uniform_control_flow, ash::khr::shader_subgroup_uniform_control_flow::NAME),
     ];
     let used = used.into_iter().filter_map(|(is_used, name)| is_used.then_some(name));
-    let used = used.chain(optional.calibrated_timestamps);
     let names: Vec<&CStr> = options.device_extensions.iter().copied().chain(used).collect();
     // SAFETY: a plain query.
     let present = unsafe { instance.enumerate_device_extension_properties(candidate.physical) };

@@ -26,8 +26,7 @@ impl Instance {
     /// `printf`, turns on the layer for shader output. Also enables all `extensions`.
     pub(super) fn new(validation: bool, printf: bool, extensions: &[&CStr]) -> Result<Self> {
         // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
-        let entry = unsafe { ash::Entry::load() }
-            .map_err(|e| Error::NoLoader { reason: one_line(&e.to_string()) })?;
+        let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::NoLoader { reason: e.to_string() })?;
         let layer = if validation || printf { layer_version(&entry)? } else { None };
         if (validation || printf) && layer.is_none() {
             return Err(lacks_on_this_machine(
@@ -125,10 +124,6 @@ pub(super) fn has_extension(present: &[vk::ExtensionProperties], name: &CStr) ->
     present.iter().any(|extension| extension.extension_name_as_c_str() == Ok(name))
 }
 
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
-}
-
 /// See [`Limits::instances_per_dispatch`]: 256 pixels per instance, tens of milliseconds on a GPU.
 const INSTANCES_PER_DISPATCH: u32 = 1 << 25;
 
@@ -202,8 +197,6 @@ pub(super) struct OptionalFeatures {
     pub(super) int64: bool,
     pub(super) push_descriptor: bool,
     pub(super) portability_subset: bool,
-    /// The extension that provides calibrated timestamps.
-    pub(super) calibrated_timestamps: Option<&'static CStr>,
     pub(super) memory_budget: bool,
     pub(super) dynamic_broadcasts: bool,
     pub(super) reconverges: bool,
@@ -363,8 +356,6 @@ fn features(
     unsafe { instance.get_physical_device_features2(physical, &mut all) };
     let f = all.features;
     let missing = Features::of(&v12, &v13).missing().into_iter().map(str::to_owned).collect();
-    // Validation layers of 2023 warn about the newer extension.
-    let clocks = [ash::ext::calibrated_timestamps::NAME, ash::khr::calibrated_timestamps::NAME];
     let optional = OptionalFeatures {
         v12: vk::PhysicalDeviceVulkan12Features {
             shader_int8: v12.shader_int8,
@@ -377,7 +368,6 @@ fn features(
         int64: f.shader_int64 != 0,
         push_descriptor: has(ash::khr::push_descriptor::NAME),
         portability_subset: has(ash::khr::portability_subset::NAME),
-        calibrated_timestamps: clocks.into_iter().find(|name| has(name)),
         memory_budget: has(ash::ext::memory_budget::NAME),
         dynamic_broadcasts: v12.subgroup_broadcast_dynamic_id != 0,
         reconverges: reconvergence.shader_maximal_reconvergence != 0,

@@ -106,15 +106,12 @@ pub struct RecordSlot {
 
 impl RecordSlot {
     /// Creates a slot for recordings of up to `dispatches` dispatches.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the driver has no memory left.
     pub fn new(context: &Context, dispatches: usize) -> Result<Self> {
         let inner = context.device.clone();
         let mut slot = Self {
             event: vk::Event::null(),
             queries: vk::QueryPool::null(),
-            descriptors: Arc::new(Mutex::new(DescriptorSets::reserved(&inner, dispatches)?)),
+            descriptors: Arc::new(Mutex::new(DescriptorSets::new(&inner))),
             kept: Arc::default(),
             profiler: None,
             spare: None,
@@ -122,18 +119,13 @@ impl RecordSlot {
             discarded_late: false,
             inner,
         };
-        slot.create()?;
-        Ok(slot)
-    }
-
-    fn create(&mut self) -> Result<()> {
-        let inner = &self.inner;
+        slot.reserve(dispatches)?;
         // SAFETY: a valid create info for this device.
-        let event = unsafe { inner.device.create_event(&vk::EventCreateInfo::default(), None) };
-        self.event = event.map_err(vk_error("vkCreateEvent"))?;
-        self.queries = inner.create_queries(2 * MAX_SCOPES, "slot timestamps")?;
-        inner.names.name(self.event, "slot event");
-        Ok(())
+        let event = unsafe { slot.inner.device.create_event(&vk::EventCreateInfo::default(), None) };
+        slot.event = event.map_err(vk_error("vkCreateEvent"))?;
+        slot.queries = slot.inner.create_queries(2 * MAX_SCOPES, "slot timestamps")?;
+        slot.inner.names.name(slot.event, "slot event");
+        Ok(slot)
     }
 
     /// Allocates for recordings of up to `dispatches` dispatches, from the next one on. Allowed while one is in flight.
@@ -146,9 +138,6 @@ impl RecordSlot {
 
     /// True if the commands recorded through the slot have finished. True for a slot that was never used; false while the
     /// command buffer has not been submitted. Commands that the host recorded after them may still run. Never waits.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the device is lost.
     pub fn finished(&self) -> Result<bool> {
         if !self.recorded {
             return Ok(true);
@@ -191,9 +180,6 @@ impl RecordSlot {
 
     /// Releases all resources of the last recording, once its command buffer has finished. Scenes and image views dropped
     /// meanwhile are destroyed now, not by the next recording.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] while the recording is in flight.
     pub fn release(&mut self) -> Result<()> {
         self.check_free()?;
         lock(&self.kept).clear();
@@ -210,7 +196,7 @@ impl RecordSlot {
     /// # Errors
     /// [`Error::Argument`] if the previous recording has not finished, or if the commands belong to another context.
     /// Nothing is recorded then.
-    pub fn begin(&mut self, commands: ForeignCommands, label: &str) -> Result<Recorder> {
+    pub fn begin(&mut self, commands: ForeignCommands, label: &'static str) -> Result<Recorder> {
         if !Arc::ptr_eq(&commands.inner, &self.inner) {
             return Err(Error::argument("commands", "it belongs to another context"));
         }
@@ -280,9 +266,6 @@ impl RecordSlot {
 
     /// Returns the time of each scope of the last recording. Empty before it has finished and the device has written the
     /// times, without timestamps, and at a second call.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the device is lost.
     pub fn times(&mut self) -> Result<Vec<ScopeTime>> {
         let Some(mut profiler) = self.profiler.take() else { return Ok(Vec::new()) };
         if !(self.finished()? && profiler.is_ready(&self.inner)?) {
@@ -391,19 +374,6 @@ pub struct SlotRecording<'a>(&'a mut RecordSlot);
 impl<'a> SlotRecording<'a> {
     pub(crate) fn new(slot: &'a mut RecordSlot) -> Self {
         Self(slot)
-    }
-
-    /// See [`RecordSlot::is_recorded`].
-    pub fn is_recorded(&self) -> bool {
-        self.0.is_recorded()
-    }
-
-    /// See [`RecordSlot::finished`].
-    ///
-    /// # Errors
-    /// When the device is lost.
-    pub fn finished(&self) -> Result<bool> {
-        self.0.finished()
     }
 
     /// See [`RecordSlot::discard`].

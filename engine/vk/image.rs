@@ -216,7 +216,7 @@ impl Image {
         inner.names.name(view, name);
         let id = NEXT_ID.fetch_add(1, Ordering::Relaxed);
         if bytes > 0 {
-            inner.registry.add(&ARENA.into(), bytes, MemoryKind::Device);
+            inner.registry.add(ARENA, bytes, MemoryKind::Device);
         }
         let view = View { inner, of: *foreign, view, memory, bytes, purpose, name, id };
         Ok(Self(Arc::new(view), vk::QUEUE_FAMILY_IGNORED))
@@ -307,7 +307,7 @@ impl Drop for View {
             if self.memory != vk::DeviceMemory::null() {
                 device.destroy_image(self.of.image, None);
                 device.free_memory(self.memory, None);
-                self.inner.registry.remove(&ARENA.into(), self.bytes, MemoryKind::Device);
+                self.inner.registry.remove(ARENA, self.bytes, MemoryKind::Device);
             }
         }
     }

@@ -8,7 +8,8 @@ use super::lock::lock;
 use super::memory::Buffer;
 use super::pipeline::{Jobs, KernelJob, Pipeline, check};
 use super::pipeline_cache::{BindingInfo, ImageInfo, PipelineHandles, PipelineInfo};
-use crate::error::Result;
+use super::recorder::Recorder;
+use crate::error::{Error, Result};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -46,25 +47,19 @@ pub(super) mod sealed {
 pub trait KernelInterface: sealed::Generated {
     /// Path below glsl/ without extension, "sort/sort_upsweep".
     const NAME: &'static str;
-    /// Its SPIR-V.
-    const SPIRV: &'static [u32];
-    /// Its buffers.
-    const BINDINGS: &'static [BindingInfo];
-    /// Its other forms. Those that read texels have bit-identical results.
+    /// Its forms; the first neither reads texels nor has lenses. Those that read texels have bit-identical results.
     const FORMS: &'static [Form];
     /// Its images.
     const IMAGES: &'static [ImageInfo];
     /// Its specialization constants.
     const CONSTANTS: &'static [ConstantInfo];
-    /// Bytes of push constants of the plain form.
-    const PUSH_BYTES: u32;
     /// Buffers and images of a dispatch.
     type Bind<'a>;
     /// Push constants of a dispatch.
     type Push: Copy;
     /// Specialization constants of a pipeline.
     type Spec: Clone + std::fmt::Debug + PartialEq;
-    /// Returns the buffers in the order of `BINDINGS`, then those that only a form has.
+    /// Returns the buffers in the order of the form with the most bindings.
     fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]>;
     /// Returns the images in the order of `IMAGES`.
     fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]>;
@@ -84,14 +79,8 @@ pub trait KernelInterface: sealed::Generated {
     fn spec_for(limits: &Limits) -> Self::Spec;
     /// Returns the form for a device: see [`Limits::prefers_texels`].
     fn form(limits: &Limits, spec: &Self::Spec) -> Form {
-        let (spirv, bindings, push_bytes) = (Self::SPIRV, Self::BINDINGS, Self::PUSH_BYTES);
-        let plain = Form { spirv, bindings, push_bytes, texels: false, lenses: false };
-        let of = |texels: bool| {
-            let wanted = (texels, Self::lenses(spec));
-            Self::FORMS.iter().find(|form| (form.texels, form.lenses) == wanted)
-        };
-        let texels = limits.prefers_texels().then(|| of(true)).flatten();
-        texels.or_else(|| of(false)).copied().unwrap_or(plain)
+        let fits = |form: &&Form| form.lenses == Self::lenses(spec) && form.texels <= limits.prefers_texels();
+        *Self::FORMS.iter().filter(fits).max_by_key(|form| form.texels).unwrap_or(&Self::FORMS[0])
     }
 }
 
@@ -231,9 +220,6 @@ pub struct PipelineStatistics {
 impl Context {
     /// Returns the compiler's statistics of every pipeline built so far, sorted by kernel and constants. Empty without
     /// [`ContextOptions::compile_only`](super::ContextOptions::compile_only).
-    ///
-    /// # Errors
-    /// When the driver refuses.
     pub fn pipeline_statistics(&self) -> Result<Vec<PipelineStatistics>> {
         let Some(functions) = &self.device.executables else { return Ok(Vec::new()) };
         let of = |(info, handles): (PipelineInfo, PipelineHandles)| {
@@ -250,5 +236,35 @@ impl Context {
         let key = |p: &PipelineStatistics| (p.kernel, p.texels, p.constants.clone());
         all.sort_by_key(key);
         Ok(all)
+    }
+}
+
+/// The kernels of one shader by their specialization constants. They are built before recording.
+pub struct KernelSet<K: KernelInterface>(Vec<(K::Spec, Kernel<K>)>);
+
+impl<K: KernelInterface> Default for KernelSet<K> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<K: KernelInterface> KernelSet<K> {
+    /// Builds the kernel with these constants unless it exists.
+    pub fn prepare(&mut self, context: &Context, spec: K::Spec) -> Result<()> {
+        if !self.0.iter().any(|(built, _)| *built == spec) {
+            let kernel = Kernel::new(context, &spec)?;
+            self.0.push((spec, kernel));
+        }
+        Ok(())
+    }
+
+    /// The kernel with these constants. If it is not built, the recording fails with an error that names it.
+    pub fn get_or_fail(&self, r: &mut Recorder, spec: &K::Spec) -> Option<&Kernel<K>> {
+        let found = self.0.iter().find(|(built, _)| built == spec);
+        if found.is_none() {
+            let problem = format!("{spec:?} is not built: prepare it before recording");
+            r.fail(Error::argument(format!("kernel {}", K::NAME), problem));
+        }
+        found.map(|(_, kernel)| kernel)
     }
 }

@@ -124,7 +124,7 @@ pub(super) struct Block {
     hosted: Option<HostMemory>,
     mapping: Option<Mutex<Mapping>>,
     pub(super) bytes: u64,
-    arena: Arc<str>,
+    arena: &'static str,
     pub(super) kind: MemoryKind,
     /// True if the processor caches the mapping, so that reading it is fast.
     cached: bool,
@@ -148,7 +148,7 @@ pub(super) static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 impl Block {
     /// A block with a VkBuffer of the context, without memory, or with a buffer of a host.
-    fn with(inner: &Arc<Device>, arena: &Arc<str>, raw: vk::Buffer, bytes: u64, kind: MemoryKind) -> Self {
+    fn with(inner: &Arc<Device>, arena: &'static str, raw: vk::Buffer, bytes: u64, kind: MemoryKind) -> Self {
         Self {
             inner: inner.clone(),
             raw,
@@ -156,7 +156,7 @@ impl Block {
             hosted: None,
             mapping: None,
             bytes,
-            arena: arena.clone(),
+            arena,
             kind,
             cached: true,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
@@ -172,7 +172,7 @@ impl Block {
     /// Allocates in one of the allowed memory types.
     pub(super) fn new(
         inner: &Arc<Device>,
-        (arena, number): (&Arc<str>, usize),
+        (arena, number): (&'static str, usize),
         bytes: u64,
         kind: MemoryKind,
         allowed: u32,
@@ -198,7 +198,7 @@ impl Block {
     }
 
     pub(super) fn foreign(inner: &Arc<Device>, raw: vk::Buffer, bytes: u64) -> Self {
-        Self::with(inner, &"host".into(), raw, bytes, MemoryKind::Device)
+        Self::with(inner, "host", raw, bytes, MemoryKind::Device)
     }
 
     /// Wraps a buffer of another context on the same VkDevice.
@@ -245,12 +245,17 @@ impl Block {
         requirements: vk::MemoryRequirements,
     ) -> Result<()> {
         let kind = self.kind;
-        let piece = allocator.allocate(&MemoryRequest { name: &self.arena, requirements, kind });
-        let piece = piece.map_err(|reason| self.refused_by_host(&reason))?;
-        self.hosted = Some(piece);
+        let piece = allocator.allocate(&MemoryRequest { name: self.arena, requirements, kind });
+        let refused = |reason: &str| {
+            let (call, result) = ("the host's allocator", self.with_purpose(reason));
+            Error::Vulkan { call, result, remedy: String::new() }
+        };
+        let piece = piece.map_err(|reason| refused(&reason))?;
         if kind == MemoryKind::HostVisible && piece.mapped.is_none() {
-            return Err(self.refused_by_host("it has not mapped host-visible memory"));
+            allocator.free(piece);
+            return Err(refused("it has not mapped host-visible memory"));
         }
+        self.hosted = Some(piece);
         // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
@@ -258,11 +263,6 @@ impl Block {
             self.mapping = piece.mapped.map(|address| Mutex::new(Mapping(address)));
         }
         Ok(())
-    }
-
-    fn refused_by_host(&self, reason: &str) -> Error {
-        let (call, result) = ("the host's allocator", self.with_purpose(reason));
-        Error::Vulkan { call, result, remedy: String::new() }
     }
 
     fn with_purpose(&self, failure: &str) -> String {
@@ -342,7 +342,7 @@ impl Drop for Block {
         if !self.owned {
             return;
         }
-        self.inner.registry.remove(&self.arena, self.bytes, self.kind);
+        self.inner.registry.remove(self.arena, self.bytes, self.kind);
         // SAFETY: idle, as above; null handles are allowed.
         unsafe {
             self.inner.device.destroy_buffer(self.raw, None);
@@ -448,9 +448,6 @@ impl Buffer {
     }
 
     /// Reads from a [`MemoryKind::HostVisible`] buffer.
-    ///
-    /// # Errors
-    /// Same as [`Buffer::write`].
     pub fn read(&self, offset: u64, bytes: &mut [u8]) -> Result<()> {
         self.check_host("read", offset, bytes.len())?;
         self.block.read_mapped(self.offset + offset, bytes);
@@ -557,7 +554,7 @@ impl Device {
     /// bytes below the bound that remain for the next transfer.
     pub(super) fn allocate(
         self: &Arc<Self>,
-        arena: &str,
+        arena: &'static str,
         requests: &[(&'static str, u64)],
         lives: &[Life],
         kind: MemoryKind,
@@ -593,9 +590,8 @@ impl Device {
             };
             return too_large(what, used.saturating_add(total), (limit, limit_name));
         }
-        let arena: Arc<str> = arena.into();
         let blocks = (packing.blocks.iter().enumerate())
-            .map(|(number, &bytes)| Ok(Arc::new(Block::new(self, (&arena, number), bytes, kind, u32::MAX)?)))
+            .map(|(number, &bytes)| Ok(Arc::new(Block::new(self, (arena, number), bytes, kind, u32::MAX)?)))
             .collect::<Result<Vec<_>>>()?;
         let places = requests.iter().zip(&packing.places);
         let buffers = places.map(|(&(name, bytes), &(block, offset))| {

@@ -4,7 +4,7 @@ use super::lock::lock;
 use ash::vk::{self, MemoryPropertyFlags as Flags};
 use std::collections::BTreeMap;
 use std::ptr::NonNull;
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 
 /// Kind of memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -162,7 +162,7 @@ pub(super) fn best(
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArenaMemory {
     /// The arena's name.
-    pub name: String,
+    pub name: &'static str,
     /// Allocated now.
     pub bytes: u64,
     /// Peak of the allocated bytes.
@@ -177,7 +177,7 @@ pub(super) struct Registry(Mutex<Amounts>);
 
 #[derive(Default)]
 struct Amounts {
-    arenas: BTreeMap<Arc<str>, Amount>,
+    arenas: BTreeMap<&'static str, Amount>,
     /// Excludes offloaded memory.
     total: Amount,
     offloaded: Amount,
@@ -186,21 +186,21 @@ struct Amounts {
 impl Amounts {
     /// Returns the totals to which memory of this arena and kind is added: the arena's, and the device's or the offloaded
     /// memory's.
-    fn of(&mut self, arena: &Arc<str>, kind: MemoryKind) -> [&mut Amount; 2] {
+    fn of(&mut self, arena: &'static str, kind: MemoryKind) -> [&mut Amount; 2] {
         let all = if kind == MemoryKind::Offloaded { &mut self.offloaded } else { &mut self.total };
-        [self.arenas.entry(arena.clone()).or_default(), all]
+        [self.arenas.entry(arena).or_default(), all]
     }
 }
 
 impl Registry {
-    pub(super) fn add(&self, arena: &Arc<str>, bytes: u64, kind: MemoryKind) {
+    pub(super) fn add(&self, arena: &'static str, bytes: u64, kind: MemoryKind) {
         for (now, peak) in lock(&self.0).of(arena, kind) {
             *now += bytes;
             *peak = (*now).max(*peak);
         }
     }
 
-    pub(super) fn remove(&self, arena: &Arc<str>, bytes: u64, kind: MemoryKind) {
+    pub(super) fn remove(&self, arena: &'static str, bytes: u64, kind: MemoryKind) {
         for (now, _) in lock(&self.0).of(arena, kind) {
             *now -= bytes;
         }
@@ -227,8 +227,8 @@ impl Registry {
     }
 }
 
-fn memory(name: &str, (bytes, peak_bytes): Amount) -> ArenaMemory {
-    ArenaMemory { name: name.into(), bytes, peak_bytes }
+fn memory(name: &'static str, (bytes, peak_bytes): Amount) -> ArenaMemory {
+    ArenaMemory { name, bytes, peak_bytes }
 }
 
 #[cfg(test)]

@@ -8,10 +8,10 @@
 //! | `limits`, `requirements` | [`Limits`], read once; features that a host enables |
 //! | `debug` | names, labels and validation messages |
 //! | `memory_types` | [`MemoryKind`] and its memory types; [`HostAllocator`]: memory from a host |
-//! | `faults`, `raw_device`, `compile_only` | the device's functions, that may fail on demand, or run nothing |
+//! | `compile_only` | a device's functions that run nothing |
 //! | `device`, `spirv` | the loader, devices and their choice; shaders as they need them |
 //! | `pipeline_cache` | what identifies a pipeline; the pipelines of a device, and a VkPipelineCache kept between runs |
-//! | `open_device` | the open device; everything made from it keeps it open; its queues and their locks |
+//! | `open_device`, `faults` | the open device; everything made from it keeps it open; its queues and their locks; calls that fail on demand |
 //! | `memory` | requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `pipeline` | the Vulkan pipeline, its demands on the device, descriptor sets; [`KernelJob`] |
 //! | `profile`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
@@ -44,6 +44,9 @@
 //! # Subgroups
 //! A kernel whose `Spec` has a `subgroup_size` runs with exactly that size and full subgroups. [`Limits::subgroup_size`]
 //! and [`Limits::heavy_subgroup_size`] give the size, [`Limits::workgroup_size`] a workgroup that fits it.
+//!
+//! # Errors
+//! Unless a function names other errors, they are the driver's: it has no memory left, or the device is lost.
 
 #![allow(unsafe_code)]
 
@@ -62,7 +65,6 @@ mod format;
 mod hazard;
 mod image;
 mod kernel;
-mod kernel_set;
 mod limits;
 mod lock;
 mod memory;
@@ -71,7 +73,6 @@ mod open_device;
 mod pipeline;
 mod pipeline_cache;
 mod profile;
-mod raw_device;
 mod recorder;
 mod requirements;
 mod spirv;
@@ -81,7 +82,7 @@ mod submit;
 pub use audit::{Audit, AuditRecord};
 pub use budget::{MemoryRates, Transfers};
 pub use compile_only::{CompileOnly, Executable, Statistic};
-pub use context::{Context, ContextOptions, ForeignDevice, HeldQueues};
+pub use context::{Context, ContextOptions, ForeignDevice};
 pub use device::{DeviceDescription, devices, validation_available};
 #[cfg(feature = "testing")]
 pub use faults::{Fault, Faults};
@@ -93,9 +94,8 @@ pub use format::{
 pub use image::{ForeignImage, Image, ImageState};
 pub(crate) use kernel::sealed::Generated;
 pub use kernel::{
-    ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor, PipelineStatistics,
+    ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelSet, KernelVisitor, PipelineStatistics,
 };
-pub use kernel_set::KernelSet;
 #[cfg(feature = "testing")]
 pub use limits::LimitsOverride;
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
@@ -106,5 +106,5 @@ pub use pipeline::KernelJob;
 pub use pipeline_cache::{BindingInfo, BindingKind, ImageInfo, PipelineCacheKey, PipelineCacheStore};
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
-pub use requirements::{Features, OptionalExtension, OptionalFeature, Requirements};
+pub use requirements::{Features, Optional, Requirements};
 pub use submit::{Pending, RunReport};

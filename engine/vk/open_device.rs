@@ -4,19 +4,58 @@
 use super::compile_only::Executables;
 use super::debug::{Messages, Names, vk_error};
 use super::device::{DeviceDescription, Instance, queue_families};
+#[cfg(feature = "testing")]
+use super::faults::Faults;
 use super::limits::Limits;
 use super::lock::lock;
 use super::memory_types::{HostAllocator, Place, Registry};
 use super::pipeline_cache::{BuiltPipelines, PipelineCache};
-use super::raw_device::RawDevice;
 use super::spirv::SubgroupRules;
 use crate::error::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
-use std::ffi::CStr;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
+
+/// A device's functions. Destroys the device when dropped, if it is ours.
+pub(super) struct RawDevice {
+    pub(super) raw: ash::Device,
+    ours: bool,
+    /// For tests: calls that fail on demand.
+    #[cfg(feature = "testing")]
+    pub(super) faults: Option<Faults>,
+}
+
+impl RawDevice {
+    /// Wraps a device that we created and nothing else destroys (`ours`), or a host's.
+    pub(super) fn new(raw: ash::Device, ours: bool) -> Self {
+        Self {
+            raw,
+            ours,
+            #[cfg(feature = "testing")]
+            faults: None,
+        }
+    }
+}
+
+impl Deref for RawDevice {
+    type Target = ash::Device;
+
+    fn deref(&self) -> &ash::Device {
+        &self.raw
+    }
+}
+
+impl Drop for RawDevice {
+    fn drop(&mut self) {
+        if self.ours {
+            // SAFETY: whoever owns this value has destroyed all that was made from the device, which is idle.
+            unsafe { self.raw.destroy_device(None) }
+        }
+    }
+}
 
 /// An open device. Everything made from it keeps it open.
 pub(super) struct Device {
@@ -45,8 +84,6 @@ pub(super) struct Device {
     pub(super) timestamp_bits: u32,
     /// True while timestamps are written.
     pub(super) timestamps: AtomicBool,
-    /// Reads the device's clock, if it can be compared with the host's.
-    pub(super) clock: Option<Clock>,
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
     /// Most bytes of all arenas together; [`super::memory::UNBOUNDED`] for no bound.
@@ -260,33 +297,5 @@ impl Drop for LockedQueue<'_> {
         if let Some(host) = self.host {
             host.unlock();
         }
-    }
-}
-
-/// The device's clock, by the extension that is enabled.
-pub(super) enum Clock {
-    Khr(ash::khr::calibrated_timestamps::Device),
-    Ext(ash::ext::calibrated_timestamps::Device),
-}
-
-impl Clock {
-    pub(super) fn new(instance: &ash::Instance, device: &ash::Device, extension: &CStr) -> Self {
-        match extension == ash::khr::calibrated_timestamps::NAME {
-            true => Self::Khr(ash::khr::calibrated_timestamps::Device::new(instance, device)),
-            false => Self::Ext(ash::ext::calibrated_timestamps::Device::new(instance, device)),
-        }
-    }
-
-    /// Returns the device's current clock, ticks; None if the driver fails.
-    pub(super) fn ticks(&self) -> Option<u64> {
-        let info = [vk::CalibratedTimestampInfoKHR::default().time_domain(vk::TimeDomainKHR::DEVICE)];
-        // SAFETY: the extension is enabled, and every implementation of it has the device's time domain.
-        let read = unsafe {
-            match self {
-                Self::Khr(clock) => clock.get_calibrated_timestamps(&info),
-                Self::Ext(clock) => clock.get_calibrated_timestamps(&info),
-            }
-        };
-        read.ok()?.0.first().copied()
     }
 }

@@ -217,9 +217,6 @@ impl KernelJob {
     }
 
     /// Builds it, or waits for the thread that builds it.
-    ///
-    /// # Errors
-    /// When the driver refuses it.
     pub fn build(self) -> Result<()> {
         Pipeline::shared(&self.device, self.info, self.spirv).map(drop)
     }
@@ -297,12 +294,6 @@ impl DescriptorSets {
         let layouts = inner.shared_layouts.clone()?;
         let (pools, sets, used) = Default::default();
         Some(Self { inner: inner.clone(), layouts, pools, sets, used })
-    }
-
-    /// Allocates sets for recordings of up to `count` dispatches; None with push descriptors.
-    pub(super) fn reserved(inner: &Arc<Device>, count: usize) -> Result<Option<Self>> {
-        let reserved = Self::new(inner).map(|mut sets| sets.reserve(count).map(|()| sets));
-        reserved.transpose()
     }
 
     /// Frees the sets of the previous recording.

@@ -3,7 +3,6 @@
 use super::debug::vk_error;
 use super::format::{Access, ImageKind, TexelFormat};
 use super::lock::lock;
-use super::raw_device::RawDevice;
 use crate::error::Result;
 use ash::vk;
 use std::collections::HashMap;
@@ -99,7 +98,7 @@ pub(super) struct PipelineHandles {
 impl PipelineHandles {
     /// # Safety
     /// They are the device's, and nothing uses them any more.
-    pub(super) unsafe fn destroy(self, device: &RawDevice) {
+    pub(super) unsafe fn destroy(self, device: &ash::Device) {
         // SAFETY: the caller's word; null handles are allowed.
         unsafe {
             device.destroy_pipeline(self.raw, None);
@@ -139,7 +138,7 @@ impl BuiltPipelines {
 
     /// # Safety
     /// Nothing uses the pipelines any more.
-    pub(super) unsafe fn close(&self, device: &RawDevice) {
+    pub(super) unsafe fn close(&self, device: &ash::Device) {
         for (_, place) in lock(&self.0).drain() {
             if let Some(handles) = lock(&place).take() {
                 // SAFETY: the caller's word.

@@ -14,10 +14,8 @@ use std::time::{Duration, Instant};
 /// Most timed commands of one profiled recording.
 pub(super) const MAX_COMMANDS: u32 = 1024;
 
-const CLOCK_READINGS: u32 = 3;
-
-/// Records all submissions of its context, command by command, until it is dropped. It costs a timestamp per command;
-/// without a profile there is no cost.
+/// Records all submissions of its context but staged uploads, command by command, until it is dropped. It costs a timestamp per
+/// command; without a profile there is no cost.
 pub struct Profile {
     pub(super) log: Arc<Log>,
 }
@@ -26,7 +24,7 @@ pub struct Profile {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScopeTime {
     /// The name given to [`super::Recorder::scope`].
-    pub name: String,
+    pub name: &'static str,
     /// Its nesting depth.
     pub depth: u32,
     /// Time from the end of the previous work to the end of the scope's own commands.
@@ -38,7 +36,7 @@ pub struct ScopeTime {
 #[non_exhaustive]
 pub struct Submission {
     /// Label given to [`Context::begin`](super::Context::begin) or [`Context::run`](super::Context::run).
-    pub label: String,
+    pub label: &'static str,
     /// Commands in recording order.
     pub commands: Vec<CommandRecord>,
     /// Scopes, same as in [`super::RunReport`].
@@ -53,14 +51,9 @@ pub struct Submission {
     pub submitted: Instant,
     /// Host time when its end was known.
     pub done: Instant,
-    /// Host time when the device began it; None without timestamps.
+    /// Host time when the device began it; None without timestamps. Assumes that it ended at `done`, which is late by the time
+    /// that it takes to wake the host.
     pub device_begun: Option<Instant>,
-    /// True if `device_begun` comes from calibrated timestamps. Otherwise the device is assumed to have finished at `done`,
-    /// which is late by the time it takes to wake the host.
-    pub calibrated: bool,
-    /// Error bound of a calibrated `device_begun`: half of the time that reading both clocks took. Zero if it is not
-    /// calibrated.
-    pub calibration_error: Duration,
 }
 
 /// A command of a recording.
@@ -70,7 +63,7 @@ pub struct CommandRecord {
     /// The kernel's name, or "fill", "copy" or "update".
     pub name: &'static str,
     /// Innermost scope around it; empty without a scope.
-    pub scope: String,
+    pub scope: &'static str,
     /// Grid of a dispatch. For an indirect dispatch: its arguments at the end of the recording.
     pub workgroups: Option<[u32; 3]>,
     /// Its buffers.
@@ -103,8 +96,6 @@ pub(super) struct Collected {
     pub(super) nanoseconds: Option<f64>,
     pub(super) scopes: Vec<ScopeTime>,
     pub(super) commands: Vec<CommandRecord>,
-    /// Device clock at the recording's begin, ticks.
-    pub(super) begin_ticks: u64,
 }
 
 /// Log of submissions, and memory for the arguments of indirect dispatches.
@@ -173,19 +164,11 @@ impl Commands {
     /// Adds the submission to the log. Its times on the host are `submitting`, `submitted` and `done`.
     pub(super) fn log(
         self,
-        inner: &Device,
-        label: String,
+        label: &'static str,
         [submitting, submitted, done]: [Instant; 3],
         collected: Collected,
     ) {
-        let clocks = inner.now_on_both_clocks();
-        let device_begun = collected.nanoseconds.and_then(|whole| match clocks {
-            Some((ticks, host, _)) => {
-                host.checked_sub(nanoseconds(inner.nanoseconds_between(collected.begin_ticks, ticks)))
-            }
-            None => done.checked_sub(nanoseconds(whole)),
-        });
-        let calibrated = clocks.filter(|_| device_begun.is_some());
+        let ago = |whole: f64| done.checked_sub(Duration::from_nanos(whole as u64));
         lock(&self.log.submissions).push(Submission {
             label,
             commands: collected.commands,
@@ -195,16 +178,10 @@ impl Commands {
             submitting,
             submitted,
             done,
-            device_begun,
-            calibrated: calibrated.is_some(),
-            calibration_error: calibrated.map_or(Duration::ZERO, |(_, _, error)| error),
+            device_begun: collected.nanoseconds.and_then(ago),
         });
         lock(&self.log.spare).push(self.readback);
     }
-}
-
-fn nanoseconds(n: f64) -> Duration {
-    Duration::from_nanos(n.max(0.0) as u64)
 }
 
 impl Device {
@@ -226,20 +203,6 @@ impl Device {
         let mask = if bits >= 64 { u64::MAX } else { (1 << bits) - 1 };
         (end.wrapping_sub(begin) & mask) as f64 * self.limits.timestamp_period_ns
     }
-
-    /// Reads the device's clock (ticks) and the host's at the same moment, within an error; None if timestamps cannot be
-    /// calibrated.
-    fn now_on_both_clocks(&self) -> Option<(u64, Instant, Duration)> {
-        let clock = self.clock.as_ref()?;
-        // An interruption between two readings would offset them by milliseconds, so the closest pair counts.
-        let readings = (0..CLOCK_READINGS).map(|_| {
-            let before = Instant::now();
-            let ticks = clock.ticks()?;
-            let error = before.elapsed() / 2;
-            Some((ticks, before + error, error))
-        });
-        readings.collect::<Option<Vec<_>>>()?.into_iter().min_by_key(|(_, _, error)| *error)
-    }
 }
 
 impl Profile {
@@ -260,9 +223,7 @@ pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
 #[derive(Default)]
 pub(super) struct Profiler {
     pool: vk::QueryPool,
-    /// The first [`Profiler::used`] belong to this recording. The others keep their names' memory for reuse.
     scopes: Vec<Scope>,
-    used: usize,
     open: Vec<Option<usize>>,
     /// Number of timestamps written so far; they take the pool's queries in order.
     written: u32,
@@ -280,7 +241,7 @@ pub(super) struct Profiler {
 }
 
 struct Scope {
-    name: String,
+    name: &'static str,
     depth: u32,
     begin: u32,
     end: u32,
@@ -294,38 +255,28 @@ impl Profiler {
 
     /// For a recording behind a host's commands. Reuses the memory of a finished recording.
     pub(super) fn again(self, pool: vk::QueryPool) -> Self {
-        let Self { scopes, mut open, mut command_ends, .. } = self;
+        let Self { mut scopes, mut open, mut command_ends, .. } = self;
+        scopes.clear();
         open.clear();
         command_ends.clear();
         Self { pool, scopes, open, command_ends, behind_host: true, ..Self::default() }
     }
 
-    pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &str) {
+    pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &'static str) {
         inner.names.begin_label(commands, name);
-        let index = self.used;
+        let index = self.scopes.len();
         let timed =
             index < MAX_SCOPES as usize && (self.pool != vk::QueryPool::null() || self.commands.is_some());
         if timed {
             let (depth, begin) = (self.open.len() as u32, self.now(inner, commands));
-            match self.scopes.get_mut(index) {
-                Some(scope) => {
-                    scope.name.clear();
-                    scope.name.push_str(name);
-                    (scope.depth, scope.begin, scope.end) = (depth, begin, begin);
-                }
-                None => self.scopes.push(Scope { name: name.to_owned(), depth, begin, end: begin }),
-            }
-            self.used += 1;
+            self.scopes.push(Scope { name, depth, begin, end: begin });
         }
         self.open.push(timed.then_some(index));
     }
 
     /// Returns the name of the whole recording; empty without a profile.
-    pub(super) fn label(&self) -> String {
-        match self.scopes[..self.used].first() {
-            Some(whole) if self.commands.is_some() => whole.name.clone(),
-            _ => String::new(),
-        }
+    pub(super) fn label(&self) -> &'static str {
+        self.scopes.first().filter(|_| self.commands.is_some()).map_or("", |whole| whole.name)
     }
 
     pub(super) fn end(&mut self, inner: &Device, commands: vk::CommandBuffer) {
@@ -346,7 +297,7 @@ impl Profiler {
         self.fresh = false;
         let Some(commands) = &mut self.commands else { return };
         let scope = self.open.last().copied().flatten().filter(|&index| index > 0);
-        let scope = scope.map_or_else(String::new, |index| self.scopes[index].name.clone());
+        let scope = scope.map_or("", |index| self.scopes[index].name);
         let waits = barriers - std::mem::replace(&mut self.barriers, barriers);
         commands.records.push(CommandRecord { scope, barriers: waits, ..describe() });
         if self.command_ends.len() < MAX_COMMANDS as usize {
@@ -393,16 +344,16 @@ impl Profiler {
     /// for.
     pub(super) fn collect(&mut self, inner: &Device) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
-        if self.used == 0 || self.pool == vk::QueryPool::null() {
+        if self.scopes.is_empty() || self.pool == vk::QueryPool::null() {
             return Ok(Collected { commands, ..Collected::default() });
         }
         let ticks = self.read(inner).map_err(vk_error("vkGetQueryPoolResults"))?;
         let between =
             |begin: u32, end: u32| inner.nanoseconds_between(ticks[begin as usize], ticks[end as usize]);
-        let mut scopes = self.scopes[..self.used].iter().map(|scope| ScopeTime {
+        let mut scopes = self.scopes.iter().map(|scope| ScopeTime {
             depth: scope.depth.saturating_sub(1),
             nanoseconds: between(scope.begin, scope.end),
-            name: scope.name.clone(),
+            name: scope.name,
         });
         let whole = scopes.next().map(|s| s.nanoseconds);
         let mut before = 0;
@@ -411,7 +362,7 @@ impl Profiler {
             command.nanoseconds = Some(between(before, end));
             before = end;
         }
-        Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands, begin_ticks: ticks[0] })
+        Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands })
     }
 
     fn read(&self, inner: &Device) -> Result<Vec<u64>, vk::Result> {

@@ -115,7 +115,7 @@ pub(super) enum Target {
 impl Recorder {
     pub(super) fn new(
         commands: Commands,
-        label: &str,
+        label: &'static str,
         profiled: Option<Profiled>,
         audit: Option<audit::Commands>,
     ) -> Self {
@@ -131,7 +131,7 @@ impl Recorder {
         inner: Arc<Device>,
         kept: Arc<Mutex<Kept>>,
         profiler: Profiler,
-        label: &str,
+        label: &'static str,
     ) -> Self {
         let mut recorder = Self {
             commands,
@@ -278,7 +278,7 @@ impl Recorder {
                 access,
                 bytes: buffer.bytes(),
             };
-            let (scope, buffers) = (String::new(), uses.map(bound).collect());
+            let (scope, buffers) = ("", uses.map(bound).collect());
             CommandRecord { name, scope, workgroups, buffers, barriers: 0, begin_ns: None, nanoseconds: None }
         });
     }
@@ -422,7 +422,7 @@ impl Recorder {
     }
 
     /// Labels and times the commands that `f` records.
-    pub fn scope<T>(&mut self, name: &str, f: impl FnOnce(&mut Self) -> T) -> T {
+    pub fn scope<T>(&mut self, name: &'static str, f: impl FnOnce(&mut Self) -> T) -> T {
         self.profiler.begin(&self.inner, self.raw(), name);
         let result = f(self);
         self.profiler.end(&self.inner, self.raw());
@@ -631,19 +631,13 @@ impl Recorder {
     /// # Panics
     /// When the buffer is smaller than the image.
     pub fn copy_to_image(&mut self, from: &Buffer, image: &Image) {
-        let transfer = ImageState {
-            layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
-            accesses: vk::AccessFlags2::TRANSFER_WRITE,
-        };
+        let (layout, accesses) = (vk::ImageLayout::TRANSFER_DST_OPTIMAL, vk::AccessFlags2::TRANSFER_WRITE);
+        let transfer = ImageState { layout, stages: vk::PipelineStageFlags2::ALL_TRANSFER, accesses };
         self.image_barrier(image, ImageState::UNDEFINED, transfer);
         self.transfer("copy to image", &[(from, "source", Access::Read)]);
-        let region = image.copy_region(from);
+        let (raw, device, region) = (self.raw(), &self.inner.device, image.copy_region(from));
         // SAFETY: recording state; the layout is as the barrier says, the region is the whole level of the image.
-        unsafe {
-            let (raw, layout) = (self.raw(), transfer.layout);
-            self.inner.device.cmd_copy_buffer_to_image(raw, from.raw(), image.handle(), layout, &[region]);
-        }
+        unsafe { device.cmd_copy_buffer_to_image(raw, from.raw(), image.handle(), layout, &[region]) }
         self.acquire_image(image, transfer);
     }
 
@@ -652,22 +646,16 @@ impl Recorder {
     /// # Panics
     /// When the buffer is smaller than the image.
     pub fn copy_from_image(&mut self, image: &Image, to: &Buffer) {
-        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
-        let accesses = vk::AccessFlags2::SHADER_STORAGE_WRITE;
+        let (stages, accesses) =
+            (vk::PipelineStageFlags2::COMPUTE_SHADER, vk::AccessFlags2::SHADER_STORAGE_WRITE);
         let written = ImageState { layout: image.layout(), stages, accesses };
-        let transfer = ImageState {
-            layout: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
-            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
-            accesses: vk::AccessFlags2::TRANSFER_READ,
-        };
+        let (layout, accesses) = (vk::ImageLayout::TRANSFER_SRC_OPTIMAL, vk::AccessFlags2::TRANSFER_READ);
+        let transfer = ImageState { layout, stages: vk::PipelineStageFlags2::ALL_TRANSFER, accesses };
         self.image_barrier(image, written, transfer);
         self.transfer("copy from image", &[(to, "destination", Access::Write)]);
-        let region = image.copy_region(to);
+        let (raw, device, region) = (self.raw(), &self.inner.device, image.copy_region(to));
         // SAFETY: as in `copy_to_image`.
-        unsafe {
-            let (raw, layout) = (self.raw(), transfer.layout);
-            self.inner.device.cmd_copy_image_to_buffer(raw, image.handle(), layout, to.raw(), &[region]);
-        }
+        unsafe { device.cmd_copy_image_to_buffer(raw, image.handle(), layout, to.raw(), &[region]) }
     }
 
     fn image_barrier(&mut self, image: &Image, from: ImageState, to: ImageState) {
@@ -729,7 +717,7 @@ impl Recorder {
         commands.submit(None)?;
         commands.wait(self.inner.timeout)?;
         audit.log()?;
-        self.commands = Target::Owned(Box::new(Commands::begin(&pools, &audit.submission, false)?));
+        self.commands = Target::Owned(Box::new(Commands::begin(&pools, None, audit.submission, 0)?));
         self.bound = vk::Pipeline::null();
         Ok(())
     }

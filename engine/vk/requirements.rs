@@ -116,28 +116,19 @@ pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits, subgroup_size: u32) -> im
     low.map(|((name, least), has)| format!("{name} of {least} (it has {has})"))
 }
 
-/// An extension that is used if it is enabled.
+/// A feature or an extension that is used if it is enabled. A feature of an extension also needs the extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OptionalExtension {
-    /// Its name.
-    pub name: &'static CStr,
+pub struct Optional<N> {
+    /// Vulkan name.
+    pub name: N,
     /// Substitute if it is not enabled.
     pub without: &'static str,
 }
 
-/// A feature that is used if it is enabled. A feature of an extension also needs the extension.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OptionalFeature {
-    /// Vulkan name, same as in [`Features::all`].
-    pub name: &'static str,
-    /// Substitute if it is not enabled.
-    pub without: &'static str,
-}
-
-const OPTIONAL_FEATURES: [OptionalFeature; 3] = [
-    OptionalFeature { name: "subgroupBroadcastDynamicId", without: "shuffles in place of broadcasts" },
-    OptionalFeature { name: "shaderMaximalReconvergence", without: "shaderSubgroupUniformControlFlow" },
-    OptionalFeature {
+const OPTIONAL_FEATURES: [Optional<&str>; 3] = [
+    Optional { name: "subgroupBroadcastDynamicId", without: "shuffles in place of broadcasts" },
+    Optional { name: "shaderMaximalReconvergence", without: "shaderSubgroupUniformControlFlow" },
+    Optional {
         name: "shaderSubgroupUniformControlFlow",
         without: "the driver is trusted to bring subgroups together again after a branch",
     },
@@ -155,14 +146,12 @@ pub struct Requirements {
     pub features: Features,
     /// Required device extensions: none at present.
     pub extensions: Vec<&'static CStr>,
-    /// Features that are used if enabled.
-    pub optional_features: Vec<OptionalFeature>,
-    /// Device extensions that are used if enabled.
-    pub optional_extensions: Vec<OptionalExtension>,
-    /// Instance extensions that are used if enabled.
-    pub optional_instance_extensions: Vec<OptionalExtension>,
-    /// Subgroup operations in compute shaders.
-    pub subgroup_operations: vk::SubgroupFeatureFlags,
+    /// Optional features, by their names in [`Features::all`].
+    pub optional_features: Vec<Optional<&'static str>>,
+    /// Optional device extensions.
+    pub optional_extensions: Vec<Optional<&'static CStr>>,
+    /// Optional instance extensions.
+    pub optional_instance_extensions: Vec<Optional<&'static CStr>>,
     /// Smallest allowed values of limits, by their Vulkan names.
     pub limits: Vec<(&'static str, u64)>,
 }
@@ -178,26 +167,23 @@ impl Requirements {
     }
 
     pub(super) fn of_all() -> Self {
-        let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
-        let extensions = [
-            (ash::khr::push_descriptor::NAME, "descriptor sets from pools, allocated ahead"),
-            (ash::khr::shader_maximal_reconvergence::NAME, "no shaderMaximalReconvergence"),
-            (ash::khr::shader_subgroup_uniform_control_flow::NAME, "no shaderSubgroupUniformControlFlow"),
-        ];
+        let optional = |name, without| Optional { name, without };
+        let uniform = ash::khr::shader_subgroup_uniform_control_flow::NAME;
         Self {
             api_version: vk::API_VERSION_1_3,
             queue: vk::QueueFlags::COMPUTE,
             features: Features::REQUIRED,
             extensions: Vec::new(),
             optional_features: OPTIONAL_FEATURES.to_vec(),
-            optional_extensions: extensions
-                .map(|(name, without)| OptionalExtension { name, without })
-                .to_vec(),
-            optional_instance_extensions: vec![OptionalExtension {
-                name: ash::ext::debug_utils::NAME,
-                without: "no names and labels in debuggers",
-            }],
-            subgroup_operations: operations.fold(vk::SubgroupFeatureFlags::empty(), |all, flag| all | flag),
+            optional_extensions: vec![
+                optional(ash::khr::push_descriptor::NAME, "descriptor sets from pools, allocated ahead"),
+                optional(ash::khr::shader_maximal_reconvergence::NAME, "no shaderMaximalReconvergence"),
+                optional(uniform, "no shaderSubgroupUniformControlFlow"),
+            ],
+            optional_instance_extensions: vec![optional(
+                ash::ext::debug_utils::NAME,
+                "no names and labels in debuggers",
+            )],
             limits: LEAST_LIMITS.to_vec(),
         }
     }

@@ -99,7 +99,7 @@ impl Ring {
         // The last piece may end within a word: the rest of that word is in the buffer's padding.
         let to = to.range(0, length.next_multiple_of(4).min(to.bytes()));
         let queue = device.copying.as_ref();
-        let mut commands = Commands::begin_copies(pools, "upload")?;
+        let mut commands = Commands::begin(pools, queue, "upload", 0)?;
         ring.range(place.start, to.bytes()).record_copy(commands.raw(), &to);
         if let Some(queue) = queue {
             let (stage, access) = (vk::PipelineStageFlags2::COPY, vk::AccessFlags2::TRANSFER_WRITE);
@@ -121,7 +121,7 @@ impl Ring {
         let Some(queue) = device.copying.as_ref().filter(|_| !self.released.is_empty()) else {
             return Ok(());
         };
-        let mut commands = Commands::begin(pools, "take over uploads", false)?;
+        let mut commands = Commands::begin(pools, None, "take over uploads", 0)?;
         for to in &self.released {
             // Uses the stages in which the submission waits for the semaphore.
             let acquire = owner_change(queue, device, to)

@@ -6,7 +6,7 @@ use super::context::Context;
 use super::lock::lock;
 use super::memory::Buffer;
 use super::memory_types::Place;
-use super::profile::{self, Profiler, ScopeTime};
+use super::profile::{self, MAX_SCOPES, Profiler, QUERIES, ScopeTime};
 use super::recorder::{Kept, MAX_UPDATE_BYTES, Recorder};
 use crate::error::{Error, Result};
 use std::sync::atomic::Ordering;
@@ -61,7 +61,7 @@ impl Pending {
         let report = RunReport { scopes: collected.scopes.clone(), nanoseconds };
         let label = profiler.label();
         if let Some(commands) = profiler.commands {
-            commands.log(inner, label, [self.submitting, self.submitted, done], collected);
+            commands.log(label, [self.submitting, self.submitted, done], collected);
         }
         Ok(report)
     }
@@ -82,23 +82,18 @@ impl Context {
     }
 
     /// Starts a recording under a label. Dropping the recorder discards it.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the driver has no memory left, [`Error::DeviceLost`].
-    pub fn begin(&self, label: &str) -> Result<Recorder> {
+    pub fn begin(&self, label: &'static str) -> Result<Recorder> {
         self.check_alive()?;
         let profile = lock(&self.logs.profile).upgrade();
         let profiled = profile.map(|log| profile::Commands::begin(&self.device, log)).transpose()?;
         let audit = lock(&self.logs.audit).upgrade();
-        let commands = Commands::begin(&self.pools, label, profiled.is_some())?;
+        let queries = if profiled.is_some() { QUERIES } else { 2 * MAX_SCOPES };
+        let commands = Commands::begin(&self.pools, None, label, queries)?;
         let audited = audit.map(|log| audit::Commands::begin(log, label));
         Ok(Recorder::new(commands, label, profiled, audited))
     }
 
     /// Submits a recording. Wait for the [`Pending`] before using its results.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`]. [`Error::Vulkan`] when out of memory, even if that happened while recording.
     ///
     /// # Panics
     /// When the recorder records into a foreign command buffer.
@@ -116,12 +111,9 @@ impl Context {
     }
 
     /// Records, submits and waits.
-    ///
-    /// # Errors
-    /// Errors of `record` (nothing is submitted then), of [`Context::submit`] and of [`Pending::wait`].
-    pub fn run(&self, label: &str, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<RunReport> {
+    pub fn run(&self, label: &'static str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
         let mut recorder = self.begin(label)?;
-        record(&mut recorder)?;
+        record(&mut recorder);
         self.submit(recorder)?.wait()
     }
 }
@@ -149,12 +141,9 @@ impl Context {
         }
         let whole_words = bytes.len().is_multiple_of(4) && buffer.offset().is_multiple_of(4);
         if bytes.len() <= MAX_UPDATE_BYTES && whole_words {
-            return self.run_commands("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
+            return self.run("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
         }
-        let copied = match self.is_watched() {
-            true => self.upload_watched(buffer, bytes),
-            false => self.copy_staged(buffer, bytes, true).and_then(|()| self.finish_uploads()),
-        };
+        let copied = self.copy_staged(buffer, bytes, true).and_then(|()| self.finish_uploads());
         if self.is_foreign() {
             // A host gets its memory back.
             self.free_staging();
@@ -162,34 +151,16 @@ impl Context {
         copied
     }
 
-    /// Same as [`Context::run`], for commands whose recording cannot fail.
-    pub(crate) fn run_commands(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
-        self.run(label, |recorder| {
-            record(recorder);
-            Ok(())
-        })
-    }
-
     /// Same as [`Context::upload`], but without waiting: the bytes are copied to staging memory. Submissions after
     /// [`Context::take_over_uploads`] see them in the buffer. Until then the caller must not write these bytes otherwise,
     /// and nothing in flight may use them: a copy queue may write them at once.
-    pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
-        if buffer.block().is_mapped() || self.is_foreign() || self.is_watched() {
-            return self.upload(buffer, bytes);
-        }
-        buffer.check_range(0, bytes.len())?;
-        self.copy_staged(buffer, bytes, false)
-    }
-
-    /// Same as [`Context::begin_upload`], but uses the copy queue even if the host sees a card's memory (resizable BAR).
-    /// Writing that memory would have to wait for the main queue's work. All uploads to a buffer use this function or none:
-    /// the host writes only memory that no copy is known to use.
-    pub(crate) fn begin_upload_beside(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
-        if self.device.place != Place::Window || self.device.copying.is_none() {
-            return self.begin_upload(buffer, bytes);
-        }
-        if self.is_watched() {
-            self.finish_uploads()?;
+    ///
+    /// With `beside`, uses the copy queue even if the host sees a card's memory (resizable BAR): writing that memory would have
+    /// to wait for the main queue's work. All uploads to a buffer are then `beside`: the host writes only memory that no copy is
+    /// known to use.
+    pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8], beside: bool) -> Result<()> {
+        let copies = beside && self.device.place == Place::Window && self.device.copying.is_some();
+        if !copies && (buffer.block().is_mapped() || self.is_foreign()) {
             return self.upload(buffer, bytes);
         }
         buffer.check_range(0, bytes.len())?;
@@ -199,11 +170,6 @@ impl Context {
     /// Makes all later submissions see the uploaded data.
     pub(crate) fn take_over_uploads(&self) -> Result<()> {
         lock(&self.staging).take_over(&self.pools)
-    }
-
-    /// True if a profile or an audit observes every command.
-    fn is_watched(&self) -> bool {
-        lock(&self.logs.profile).strong_count() > 0 || self.is_audited()
     }
 
     pub(super) fn is_audited(&self) -> bool {
@@ -228,25 +194,6 @@ impl Context {
         Ok(())
     }
 
-    /// Uploads piece by piece, each as a command that a profile times and an audit hashes.
-    fn upload_watched(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
-        let mut ring = lock(&self.staging);
-        let mut offset = 0;
-        while offset < bytes.len() {
-            let (staging, place) = ring.reserve(&self.device, (bytes.len() - offset) as u64)?;
-            let length = place.end - place.start;
-            let piece = &bytes[offset..][..length as usize];
-            staging.block().write_mapped(staging.offset() + place.start, piece);
-            // The last piece may end within a word: the rest of that word is in the buffer's padding.
-            let whole = length.next_multiple_of(4).min(buffer.bytes() - offset as u64);
-            let (from, to) = (staging.range(place.start, whole), buffer.range(offset as u64, whole));
-            let ran = self.run_commands("upload", |recorder| recorder.copy(&from, &to));
-            ran.inspect_err(|_| ring.abandon())?;
-            offset += length as usize;
-        }
-        Ok(())
-    }
-
     /// Returns the bytes of a buffer, after all earlier submissions.
     ///
     /// # Errors
@@ -259,42 +206,32 @@ impl Context {
 
     /// Passes the contents of a buffer to `take` in order, chunk by chunk, so that they are not held twice. All chunks
     /// except the last have a multiple of 256 bytes.
-    ///
-    /// # Errors
-    /// Same as [`Context::download`].
-    pub fn download_chunks(&self, buffer: &Buffer, take: impl FnMut(&[u8])) -> Result<()> {
-        let downloaded = self.download_pieces(buffer, take);
-        if self.is_foreign() && !buffer.block().is_read_mapped() {
-            self.free_staging();
-        }
-        downloaded
-    }
-
-    fn download_pieces(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
-        let total = buffer.bytes();
-        let mapped = buffer.block().is_read_mapped();
-        if total == 0 {
+    pub fn download_chunks(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
+        let (block, total) = (buffer.block(), buffer.bytes());
+        if block.is_read_mapped() && total > 0 {
+            buffer.check_idle()?;
+            let mut chunk = vec![0; total.min(MAPPED_CHUNK_BYTES) as usize];
+            for offset in (0..total).step_by(MAPPED_CHUNK_BYTES as usize) {
+                let bytes = &mut chunk[..(total - offset).min(MAPPED_CHUNK_BYTES) as usize];
+                block.read_mapped(buffer.offset() + offset, bytes);
+                take(bytes);
+            }
             return Ok(());
         }
-        if mapped {
-            buffer.check_idle()?;
-        }
-        let step = if mapped { MAPPED_CHUNK_BYTES } else { CHUNK_BYTES };
-        let mut chunk = vec![0; total.min(step) as usize];
-        let mut offset = 0;
-        while offset < total {
-            let length = (total - offset).min(step);
-            let mut bytes = &mut chunk[..length as usize];
-            if mapped {
-                buffer.block().read_mapped(buffer.offset() + offset, bytes);
-            } else {
-                let length = self.download_staged(&buffer.range(offset, length), bytes)?;
-                bytes = &mut bytes[..length];
+        let mut chunk = vec![0; total.min(CHUNK_BYTES) as usize];
+        let (mut offset, mut downloaded) = (0, Ok(0));
+        while offset < total && downloaded.is_ok() {
+            let part = buffer.range(offset, (total - offset).min(CHUNK_BYTES));
+            downloaded = self.download_staged(&part, &mut chunk);
+            if let Ok(length) = downloaded {
+                take(&chunk[..length]);
+                offset += length as u64;
             }
-            offset += bytes.len() as u64;
-            take(bytes);
         }
-        Ok(())
+        if self.is_foreign() {
+            self.free_staging();
+        }
+        downloaded.map(drop)
     }
 
     /// Reads as many bytes of a buffer as fit a piece of the ring, and returns their number.
@@ -303,7 +240,7 @@ impl Context {
         let (staging, place) = ring.reserve(&self.device, from.bytes())?;
         let length = place.end - place.start;
         let (from, to) = (from.range(0, length), staging.range(place.start, length));
-        let ran = self.run_commands("download", |recorder| recorder.copy(&from, &to));
+        let ran = self.run("download", |recorder| recorder.copy(&from, &to));
         ran.inspect_err(|_| ring.abandon())?;
         to.block().read_mapped(to.offset(), &mut bytes[..length as usize]);
         Ok(length as usize)

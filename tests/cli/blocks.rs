@@ -38,7 +38,7 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
         // The frozen neighbours must be unchanged.
         for (other, said) in [
             (format!("{LEFT} --margin 0.2"), "of another scene or margin"),
-            ("--block=-9,-9,-9,-0.2,9,9 --margin 0.1".into(), "here it is -9,"),
+            ("--block=-9,-9,-9,-0.2,9,9 --margin 0.1".into(), "here the block -9,"),
             (String::new(), "the whole scene is trained"),
         ] {
             let resume = "--scene-extent 1.5 --iterations 40 --start_checkpoint latest";

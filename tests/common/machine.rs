@@ -70,7 +70,7 @@ fn program<K: KernelInterface>(spec: &K::Spec, lanes: u32) -> Rc<Program> {
     let lanes = K::subgroup_size(spec).unwrap_or_else(|| lanes.min(1 << invocations.trailing_zeros()));
     let key = (K::NAME, lanes, K::spec_entries(spec));
     PROGRAMS.with_borrow_mut(|programs| {
-        let made = || Program::new(K::NAME, K::SPIRV, &K::spec_entries(spec), lanes);
+        let made = || Program::new(K::NAME, K::FORMS[0].spirv, &K::spec_entries(spec), lanes);
         programs.entry(key).or_insert_with(|| Rc::new(made().expect("a program"))).clone()
     })
 }
@@ -83,7 +83,8 @@ fn words<K: KernelInterface>(context: &Context, bind: &K::Bind<'_>) -> Words {
         bytemuck::pod_collect_to_vec(&bytes)
     };
     let buffers = K::buffers(bind);
-    K::BINDINGS.iter().zip(buffers.as_ref()).map(|(info, buffer)| (info.binding, word(buffer))).collect()
+    let bindings = K::FORMS[0].bindings.iter().zip(buffers.as_ref());
+    bindings.map(|(info, buffer)| (info.binding, word(buffer))).collect()
 }
 
 /// Runs a program over words. Each dispatch uses another order of workgroups and subgroups.

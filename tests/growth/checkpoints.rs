@@ -1,25 +1,19 @@
-//! Checkpoints with many Gaussians, statistics and values of a strategy.
+//! Checkpoints with many Gaussians and values of a strategy.
 
 use super::{assert_linear, gaussians};
 use crate::checkpoint::CheckpointFile;
-use ashsplat::train::checkpoint::{Checkpoint, StrategyState, StrategyStatistic};
+use ashsplat::train::checkpoint::{Checkpoint, StrategyState};
 use std::path::Path;
 
 #[path = "../fuzz/src/checkpoint.rs"]
 mod valid;
 
-/// A checkpoint of `count` Gaussians with statistics, and `own` values of the strategy.
+/// A checkpoint of `count` Gaussians with `own` values of the strategy.
 fn checkpoint(count: usize, own: usize) -> Checkpoint {
-    let statistic = |index: usize| StrategyStatistic {
-        name: format!("statistic {index}"),
-        floats: 1,
-        values: vec![0.25; count],
-    };
     Checkpoint {
         strategy: StrategyState {
             name: "a strategy".into(),
             terms: (0..own).map(|index| format!("term {index}")).collect(),
-            statistics: (0..own).map(statistic).collect(),
             values: (0..own).map(|index| (format!("value {index:06}"), "1".into())).collect(),
         },
         ..valid::checkpoint(gaussians(count, 1), 1)
@@ -27,7 +21,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
 }
 
 #[test]
-fn checkpoints_of_many_gaussians_or_statistics_and_values() {
+fn checkpoints_of_many_gaussians_or_values() {
     for (size, shape) in [(20_000, (|size| [size, 2]) as fn(usize) -> [usize; 2]), (1000, |size| [1, size])] {
         let write = |folder: &Path, size: usize| {
             let [count, own] = shape(size);
@@ -35,8 +29,7 @@ fn checkpoints_of_many_gaussians_or_statistics_and_values() {
         };
         assert_linear(size, write, |folder| {
             let read = Checkpoint::read(folder.join("a.safetensors")).unwrap();
-            let (statistics, values) = (read.strategy.statistics.len(), read.strategy.values.len());
-            assert!(read.gaussians.len().max(statistics) >= size && statistics == values);
+            assert!(read.gaussians.len().max(read.strategy.values.len()) >= size);
         });
     }
 }

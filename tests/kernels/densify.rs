@@ -508,12 +508,9 @@ fn gather_in_place_is_the_same_to_the_bit() {
         let gathered = |from: &SceneBuffers, to: SceneBuffers, scratch: &[Buffer], moments: bool| {
             let to = SceneBuffers { count: rows, ..to };
             let rows = Gather { from, to: &to, sources: &buffer, scratch };
-            let recorded = context.run("gather", |r| {
-                match moments {
-                    true => densify.record_gather_moments(r, &rows),
-                    false => densify.record_gather_parameters(r, &rows, &key),
-                }
-                Ok(())
+            let recorded = context.run("gather", |r| match moments {
+                true => densify.record_gather_moments(r, &rows),
+                false => densify.record_gather_parameters(r, &rows, &key),
             });
             recorded.expect("gathered");
             frame::planes::download(context, &to).expect("downloaded")
@@ -670,7 +667,6 @@ fn zorder_puts_rows_into_the_curves_order() {
             let DensifyBuffers { sources, totals, .. } = &buffers;
             let inputs = OrderInputs { scene: &uploaded, rows, sources, totals, curve };
             sorted = Some(densify.record_order(recorder, &inputs, &order).clone());
-            Ok(())
         });
         recorded.expect("sorted");
         let mut expected = listed;

@@ -261,8 +261,7 @@ fn opacity_keys_put_opacities_into_their_order() {
         let buffers = unique_draw_buffers(context, count as u32);
         let mut recorded = None;
         let ran = context.run("order opacities", |r| {
-            recorded = Some(draws.record_opacities(r, &uploaded, &buffers).clone());
-            Ok(())
+            recorded = Some(draws.record_opacities(r, &uploaded, &buffers).clone())
         });
         ran.expect("sorted");
         let bytes = context.download(&recorded.expect("recorded")).expect("read");

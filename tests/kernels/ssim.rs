@@ -473,7 +473,6 @@ fn engine_loss(pictures: &Pictures, layout: NativeLayout, largest: Option<u64>) 
         recorder.fill(image_gradient, 0);
         recorder.barrier();
         loss.record(recorder, &inputs);
-        Ok(())
     });
     run.expect("a run");
     crate::common::assert_silent(&context);

@@ -3,7 +3,9 @@
 use crate::common;
 use ashsplat::Error;
 use ashsplat::kernels::{self, scan::scan_reduce};
-use ashsplat::vk::{BindingInfo, Context, Kernel, KernelInterface, KernelVisitor, Limits, LimitsOverride};
+use ashsplat::vk::{
+    BindingInfo, Context, Form, Kernel, KernelInterface, KernelVisitor, Limits, LimitsOverride,
+};
 
 #[test]
 fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {
@@ -31,10 +33,8 @@ impl KernelVisitor for Aliases {
         let names = |bindings: &[BindingInfo]| -> Vec<_> {
             bindings.iter().filter(|binding| binding.aliased).map(|binding| binding.name).collect()
         };
-        let all = names(K::BINDINGS);
-        let mut forms = vec![(K::SPIRV, K::BINDINGS)];
-        forms.extend(K::FORMS.iter().map(|form| (form.spirv, form.bindings)));
-        for (spirv, bindings) in forms {
+        let all = names(K::FORMS[0].bindings);
+        for &Form { spirv, bindings, .. } in K::FORMS {
             assert_eq!(names(bindings), all, "{}", K::NAME);
             // OpDecorate, a variable, Aliased; Restrict means the opposite.
             let decorated =
@@ -72,7 +72,7 @@ impl KernelVisitor for Fit<'_> {
         let (spec, limits) = (K::spec_for(self.limits), self.limits);
         let [shared, most] = [K::shared_bytes(&spec), limits.shared_memory_bytes];
         assert!(shared <= most, "{}, subgroups of {}: {shared} bytes", K::NAME, limits.subgroup_size);
-        assert!(K::PUSH_BYTES <= limits.push_constant_bytes, "{}", K::NAME);
+        assert!(K::FORMS[0].push_bytes <= limits.push_constant_bytes, "{}", K::NAME);
         self.largest = self.largest.max(shared);
     }
 }

@@ -50,7 +50,7 @@ fn profile_names_every_command_with_its_grid_and_time() {
     let profile = gpu.context.profile();
     run_scans(&gpu);
     let submission = of_scans(profile.take());
-    let names: Vec<(&str, &str)> = submission.commands.iter().map(|c| (c.scope.as_str(), c.name)).collect();
+    let names: Vec<(&str, &str)> = submission.commands.iter().map(|c| (c.scope, c.name)).collect();
     let kernels = ["scan/scan_reduce", "scan/scan_spine", "scan/scan_apply"];
     let expected: Vec<(&str, &str)> = std::iter::once(("", "fill"))
         .chain(kernels.map(|name| ("direct", name)))
@@ -88,15 +88,8 @@ fn check_times(gpu: &Gpu, submission: &Submission) {
     assert!(end <= whole, "{end} > {whole}");
     assert!(submission.begun <= submission.submitting && submission.submitting <= submission.submitted);
     assert!(submission.submitted <= submission.done);
-    let device_begun = submission.device_begun.expect("timestamps");
-    if submission.calibrated {
-        // The clocks are read in sequence, and a thread may be interrupted in between.
-        let error = submission.calibration_error;
-        assert!(error <= submission.done - submission.begun, "clocks read apart by {error:?} tell nothing");
-        assert!(device_begun + error >= submission.submitting, "the device begins after the host submits");
-        let device_done = device_begun + std::time::Duration::from_nanos(whole as u64);
-        assert!(device_done <= submission.done + error, "the device ends before the host knows");
-    }
+    let ended = submission.device_begun.expect("timestamps") + std::time::Duration::from_nanos(whole as u64);
+    assert!(ended == submission.done);
 }
 
 #[test]

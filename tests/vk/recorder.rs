@@ -243,7 +243,7 @@ fn scopes_are_timed_and_nested() {
             assert!(report.scopes.is_empty());
             continue;
         }
-        let names: Vec<_> = report.scopes.iter().map(|s| (s.name.as_str(), s.depth)).collect();
+        let names: Vec<_> = report.scopes.iter().map(|s| (s.name, s.depth)).collect();
         assert_eq!(names, [("outer", 0), ("inner", 1), ("clear", 1)]);
         let [outer, inner, clear] = [0, 1, 2].map(|i| report.scopes[i].nanoseconds);
         assert!(inner > 0.0 && inner + clear <= outer && outer <= report.nanoseconds, "{report:?}");
@@ -254,21 +254,19 @@ fn scopes_are_timed_and_nested() {
 #[test]
 fn more_scopes_than_timestamps_are_fine() {
     let context = common::context();
-    let report = run(context, |r| (0..300).for_each(|i| r.scope(&format!("scope {i}"), |_| ())));
+    let report = run(context, |r| (0..300).for_each(|_| r.scope("many", |_| ())));
     assert!(report.scopes.len() < 300);
     common::assert_silent(context);
 }
 
 #[test]
-fn an_error_while_recording_submits_nothing() {
+fn a_dropped_recording_submits_nothing() {
     let context = common::context();
     let [buffer] = allocate(context, [("a", 16)]);
     context.upload(&buffer, &[1; 16]).expect("upload");
-    let result = context.run("fails", |r| {
-        r.fill(&buffer, 0);
-        Err(ashsplat::Error::Interrupted)
-    });
-    assert!(matches!(result, Err(ashsplat::Error::Interrupted)));
+    let mut recorder = context.begin("dropped").expect("a recording");
+    recorder.fill(&buffer, 0);
+    drop(recorder);
     assert_eq!(context.download(&buffer).expect("download"), [1; 16]);
 }
 

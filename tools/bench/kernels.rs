@@ -7,8 +7,7 @@ use ashsplat::vk::{ConstantInfo, Form, KernelInterface, KernelVisitor};
 pub struct Kernel {
     pub name: &'static str,
     pub constants: &'static [ConstantInfo],
-    pub spirv: &'static [u32],
-    /// Its other forms.
+    /// Its forms, the plain one first.
     pub forms: &'static [Form],
 }
 
@@ -16,8 +15,8 @@ impl Kernel {
     /// Returns the SPIR-V of the form for a device and cameras without a lens.
     #[cfg(feature = "hot-reload")]
     pub fn spirv_for(&self, limits: &ashsplat::vk::Limits) -> &'static [u32] {
-        let texels = self.forms.iter().find(|form| form.texels && !form.lenses);
-        texels.filter(|_| limits.prefers_texels()).map_or(self.spirv, |form| form.spirv)
+        let fits = |form: &&Form| !form.lenses && form.texels <= limits.prefers_texels();
+        self.forms.iter().rfind(fits).map_or(&[], |form| form.spirv)
     }
 }
 
@@ -26,8 +25,7 @@ pub fn all() -> Vec<Kernel> {
     struct All(Vec<Kernel>);
     impl KernelVisitor for All {
         fn visit<K: KernelInterface>(&mut self) {
-            let (constants, forms) = (K::CONSTANTS, K::FORMS);
-            self.0.push(Kernel { name: K::NAME, constants, spirv: K::SPIRV, forms });
+            self.0.push(Kernel { name: K::NAME, constants: K::CONSTANTS, forms: K::FORMS });
         }
     }
     let mut all = All(Vec::new());

@@ -225,7 +225,7 @@ impl Measured {
                     kernel.bytes_written += written;
                 }
                 None => found.push(KernelResult {
-                    scope: command.scope.clone(),
+                    scope: command.scope.to_owned(),
                     kernel: command.name.to_owned(),
                     calls: 1,
                     workgroups: groups,
@@ -295,16 +295,8 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     let bytes = COPY_BYTES.min(limits.max_storage_buffer_range).min(limits.max_allocation_bytes) / 256 * 256;
     let requests = [("copy_source", bytes), ("copy_destination", bytes)];
     let buffers = context.allocate("copy", &requests, MemoryKind::Device)?;
-    let copy = || {
-        context.run("copy", |r| {
-            r.copy(&buffers[0], &buffers[1]);
-            Ok(())
-        })
-    };
-    context.run("fill", |r| {
-        buffers.iter().for_each(|buffer| r.fill(buffer, 1));
-        Ok(())
-    })?;
+    let copy = || context.run("copy", |r| r.copy(&buffers[0], &buffers[1]));
+    context.run("fill", |r| buffers.iter().for_each(|buffer| r.fill(buffer, 1)))?;
     copy()?;
     let profile = context.profile();
     for _ in 0..COPIES {
@@ -330,12 +322,7 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     let arithmetic = Arithmetic::new(context)?;
     let count = arithmetic_results(context);
     let results = context.allocate("arithmetic", &[("results", 4 * count)], MemoryKind::Device)?;
-    let run = || {
-        context.run("arithmetic", |r| {
-            arithmetic.record(r, &results[0]);
-            Ok(())
-        })
-    };
+    let run = || context.run("arithmetic", |r| arithmetic.record(r, &results[0]));
     run()?;
     let profile = context.profile();
     for _ in 0..ARITHMETIC_RUNS {
@@ -352,9 +339,7 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
 
 /// The arenas of a context, with the peak of each since the measurement began.
 fn memory(context: &Context) -> Vec<Arena> {
-    let arenas = context
-        .memory()
-        .into_iter()
-        .filter(|arena| !["copy", "arithmetic", "profile"].contains(&arena.name.as_str()));
-    arenas.map(|arena| Arena { name: arena.name, peak_bytes: arena.peak_bytes }).collect()
+    let arenas =
+        context.memory().into_iter().filter(|arena| !["copy", "arithmetic", "profile"].contains(&arena.name));
+    arenas.map(|arena| Arena { name: arena.name.to_owned(), peak_bytes: arena.peak_bytes }).collect()
 }

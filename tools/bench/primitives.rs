@@ -58,10 +58,7 @@ pub fn scan(job: &Job) -> Result<Run> {
     };
     let elements = Workgroups::Elements(job.elements.into());
     let iterate = || {
-        let recorded = job.context.run("scan", |r| {
-            r.scope("scan", |r| scan.record(r, &buffers, elements));
-            Ok(())
-        });
+        let recorded = job.context.run("scan", |r| r.scope("scan", |r| scan.record(r, &buffers, elements)));
         recorded.map(drop)
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
@@ -103,16 +100,12 @@ pub fn sort(job: &Job) -> Result<Run> {
     };
     let elements = Workgroups::Elements(job.elements.into());
     let prepare = || {
-        let copied = job.context.run("unsorted keys", |r| {
-            r.copy(&b[7], &b[1]);
-            Ok(())
-        });
+        let copied = job.context.run("unsorted keys", |r| r.copy(&b[7], &b[1]));
         copied.map(drop)
     };
     let iterate = || {
         let recorded = job.context.run("sort", |r| {
             r.scope("sort", |r| sort.record(r, &buffers, Values::Positions, u32::BITS, elements));
-            Ok(())
         });
         recorded.map(drop)
     };

@@ -112,7 +112,7 @@ impl Traffic {
         // Kernels that read parameters have one dispatch for each chunk.
         let planes = self.planes(command.name, counts);
         let dispatches = planes.map_or(1, |_| counts.chunks.max(1));
-        let used = match (buffer.name, command.scope.as_str()) {
+        let used = match (buffer.name, command.scope) {
             // Off in measured workloads; some other buffer is bound instead.
             _ if ["cut_outs", "selection"].contains(&buffer.role) => Some(0),
             ("planes", _) => planes,

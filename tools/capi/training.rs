@@ -395,10 +395,13 @@ unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
         let photo = photo(&camera, view.rgb, view.mask)?;
         let points = slice_if(view.depth_points, 3 * view.depth_point_count as usize, "depth_points")?;
         let known = |&[x, y, inverse_z]: &[f32; 3]| DepthPoint { position_px: [x, y], inverse_z };
-        Ok(TrainView::new(camera, photo)
-            .taken_by(view.camera_id)
-            .with_inverse_depth(slice_if(view.inverse_depth, pixels, "inverse_depth")?.map(Into::into))
-            .with_depth_points(points.map(|points| points.as_chunks().0.iter().map(known).collect())))
+        Ok(TrainView {
+            camera,
+            photo: photo.into(),
+            camera_id: view.camera_id,
+            inverse_depth: slice_if(view.inverse_depth, pixels, "inverse_depth")?.map(Into::into),
+            depth_points: points.map(|points| points.as_chunks().0.iter().map(known).collect()),
+        })
     }
 }
 

@@ -9,14 +9,11 @@ use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 pub struct TermInputs<'a> {
     /// Frame whose forward pass precedes.
     pub frame: &'a FrameInputs<'a>,
-    /// Picture of the frame. [`PixelLayout::Rows`]: (r, g, b, 0) per pixel. [`PixelLayout::Native`]: see
-    /// [`super::LossInputs::rendered`].
+    /// Picture of the frame: see [`super::LossInputs::rendered`].
     pub picture: &'a Buffer,
-    /// Photograph of the view. [`PixelLayout::Rows`]: (r, g, b, mask) per pixel, a byte each. [`PixelLayout::Native`]: see
-    /// [`super::LossInputs::photo`].
+    /// Photograph of the view: see [`super::LossInputs::photo`].
     pub photo: &'a Buffer,
-    /// In and out: the gradient. [`PixelLayout::Rows`]: dL/d(r, g, b, inverse depth) per pixel, a vec4.
-    /// [`PixelLayout::Native`]: see [`super::LossInputs::image_gradient`].
+    /// In and out: the gradient, see [`super::LossInputs::image_gradient`].
     pub image_gradient: &'a Buffer,
     /// True if the photograph has a mask.
     pub photo_is_masked: bool,
@@ -38,22 +35,11 @@ pub struct TermInputs<'a> {
     pub row: u32,
 }
 
-/// Layout of pictures, photographs and picture gradients.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum PixelLayout {
-    /// Row by row, pixel by pixel, the same on all devices. On processors the trainer converts to and from rows.
-    #[default]
-    Rows,
-    /// [Layout](crate::frame::NativeLayout) of the device.
-    Native,
-}
-
 /// Data that a term reads and adds to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TermData {
-    /// Layout of the picture, the photograph and the picture's gradient. None for a term that uses none of them; a gradient of
-    /// the inverse depth is then by rows.
-    pub picture: Option<PixelLayout>,
+    /// True if the term uses the picture, the photograph or the picture's gradient.
+    pub picture: bool,
     /// True if the term writes the fourth component of the picture's gradient: dL/d(inverse depth). In the native layout of
     /// processors it is a fourth plane. `frame.buffers.depth_sums` is the sum of weights / z per pixel, row by row.
     pub inverse_depth: bool,
@@ -66,31 +52,23 @@ pub struct TermData {
 }
 
 impl TermData {
-    /// Returns the union of both; pictures are by rows if either needs rows.
+    /// Returns the union of both.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         Self {
-            picture: match self.rows() || other.rows() {
-                true => Some(PixelLayout::Rows),
-                false => self.picture.or(other.picture),
-            },
+            picture: self.picture || other.picture,
             inverse_depth: self.inverse_depth || other.inverse_depth,
             linear_depth: self.linear_depth || other.linear_depth,
             parameters: self.parameters || other.parameters,
         }
     }
-
-    /// True if pictures are converted to rows for a term.
-    pub fn rows(self) -> bool {
-        self.picture == Some(PixelLayout::Rows) || (self.picture.is_none() && self.inverse_depth)
-    }
 }
 
 /// A term of the training loss.
 ///
-/// The first term of a loss writes the native gradient of the picture; later ones add to it. A gradient by rows belongs to one
-/// term: it is zero before the term, and then added to the sum of the others. Gradients of parameters are zero before the first
-/// term, and all terms add to them.
+/// The first term of a loss writes the gradient of the picture; later ones add to it. Gradients of parameters are zero before the
+/// first term, and all terms add to them. Pictures have the device's layout, which a
+/// [`LayoutConverter`](crate::passes::pixels::LayoutConverter) converts to rows and back.
 pub trait LossTerm: Send {
     /// Name in reports and profiles.
     fn name(&self) -> &'static str;

@@ -57,10 +57,8 @@ pub fn split(dataset: Dataset, settings: &Settings) -> (Data, Views) {
 }
 
 fn train_view(view: View) -> TrainView {
-    TrainView::new(view.camera, view.photo)
-        .taken_by(view.camera_id)
-        .with_inverse_depth(view.inverse_depth)
-        .with_depth_points(view.depth_points)
+    let View { camera, photo, camera_id, inverse_depth, depth_points, .. } = view;
+    TrainView { camera, photo, camera_id, inverse_depth, depth_points }
 }
 
 /// Indices of the training views that replace held-out ones.

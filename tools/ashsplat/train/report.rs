@@ -287,8 +287,8 @@ fn histograms(out: &mut String, gaussians: &Gaussians, frame: &WorldFrame) {
 }
 
 fn memory(out: &mut String, run: &Run) {
-    let (mut arenas, sums): (Vec<_>, Vec<_>) = (run.trainer.memory().into_iter())
-        .partition(|arena| !["total", "offloaded"].contains(&arena.name.as_str()));
+    let (mut arenas, sums): (Vec<_>, Vec<_>) =
+        (run.trainer.memory().into_iter()).partition(|arena| !["total", "offloaded"].contains(&arena.name));
     let offloaded = sums.iter().find(|sum| sum.name == "offloaded").map_or_else(String::new, |sum| {
         format!(
             "; scene, moments, scratch and surroundings, {} MiB, lie in the machine's memory",
@@ -298,7 +298,7 @@ fn memory(out: &mut String, run: &Run) {
     section(out, "Device memory", &format!("most that each arena ever held{offloaded}"));
     arenas.sort_by_key(|arena| std::cmp::Reverse(arena.peak_bytes));
     let held = arenas.iter().filter(|arena| arena.peak_bytes > 0);
-    let held: Vec<(&str, u64)> = held.map(|arena| (arena.name.as_str(), arena.peak_bytes)).collect();
+    let held: Vec<(&str, u64)> = held.map(|arena| (arena.name, arena.peak_bytes)).collect();
     out.push_str(&html::memory(&held));
 }
 

@@ -241,9 +241,8 @@ fn training(context: &Context, settings: &TrainSettings, form: Blending) -> Resu
     let view = |masked: bool| {
         let stored = StoredPhoto::new(photo.clone(), masked.then(|| vec![255; pixels]));
         let map = (masked && !sparse).then(|| vec![0.5; pixels].into());
-        let mut view = TrainView::new(camera, stored).with_inverse_depth(map);
-        view.depth_points = sparse.then(|| depth_points().into());
-        view
+        let depth_points = sparse.then(|| depth_points().into());
+        TrainView { inverse_depth: map, depth_points, ..TrainView::new(camera, stored) }
     };
     let views = vec![view(false), view(settings.warm_up == 0)];
     let start = synthetic::scene(0, GAUSSIANS, settings.sh_degree);

@@ -53,12 +53,11 @@ pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     let chosen =
         kernels::all().into_iter().filter(|kernel| name.is_none_or(|name| is_kernel_of(kernel.name, name)));
     let modules = chosen.flat_map(|kernel| {
-        let others = kernel.forms.iter().map(move |form| {
+        kernel.forms.iter().map(move |form| {
             let [texels, lenses] = [(form.texels, ".texels"), (form.lenses, ".lenses")]
                 .map(|(has, name)| if has { name } else { "" });
             (format!("{}{texels}{lenses}", kernel.name), form.spirv)
-        });
-        std::iter::once((kernel.name.to_owned(), kernel.spirv)).chain(others)
+        })
     });
     for (name, spirv) in modules {
         let path = folder.join(format!("{name}.spv"));

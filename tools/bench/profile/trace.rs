@@ -1,8 +1,7 @@
 //! `--trace FILE`: Chrome's trace event format, which Perfetto and chrome://tracing open.
 //!
-//! Host and device are two processes on the host's clock, in microseconds since the first iteration began. With
-//! calibrated timestamps, the device's times are exact on it. Otherwise a submission is assumed to end when the host
-//! noticed it, and `otherData.clock` says so.
+//! Host and device are two processes on the host's clock, in microseconds since the first iteration began. A submission is
+//! assumed to end on the device when the host noticed it.
 
 use crate::measure::Iteration;
 use ashsplat::vk::{CommandRecord, Submission};
@@ -37,12 +36,10 @@ pub fn trace(device: &str, iterations: &[Iteration]) -> Value {
             device_events(&mut events, origin, submission, flow);
         }
     }
-    let calibrated = iterations.iter().flat_map(|i| &i.submissions).all(|s| s.calibrated);
-    let clock = if calibrated { "calibrated timestamps" } else { "estimated from the host's waiting" };
     json!({
         "traceEvents": events,
         "displayTimeUnit": "ms",
-        "otherData": { "program": concat!("ashsplat ", env!("CARGO_PKG_VERSION")), "device": device, "clock": clock },
+        "otherData": { "program": concat!("ashsplat ", env!("CARGO_PKG_VERSION")), "device": device },
     })
 }
 
@@ -77,11 +74,7 @@ fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow:
     let (Some(begun), Some(whole)) = (s.device_begun, s.nanoseconds) else { return };
     let begun = at(origin, begun);
     let mut submission = span(&s.label, "submission", DEVICE, (begun, whole * 1e-3));
-    submission["args"] = json!({
-        "calibrated": s.calibrated,
-        "calibration_error_us": s.calibration_error.as_secs_f64() * 1e6,
-        "commands": s.commands.len(),
-    });
+    submission["args"] = json!({ "commands": s.commands.len() });
     events.push(submission);
     // An arrow from the host's submission to the device's begin.
     let arrow = |phase: &str, process: u32, ts: f64| json!({ "name": "submission", "cat": "flow", "ph": phase, "id": flow, "ts": ts, "pid": process, "tid": 1, "bp": "e" });

@@ -20,7 +20,7 @@ pub struct KernelTimes {
 }
 
 struct Kernel {
-    stage: String,
+    stage: &'static str,
     name: &'static str,
     calls: u32,
     /// Time in each timed iteration that ran it; empty without timestamps.
@@ -53,7 +53,7 @@ impl KernelTimes {
         for command in profile.take().iter().flat_map(|submission| &submission.commands) {
             let same = |kernel: &Kernel| kernel.stage == command.scope && kernel.name == command.name;
             let place = self.kernels.iter().position(same).unwrap_or_else(|| {
-                let (stage, name) = (command.scope.clone(), command.name);
+                let (stage, name) = (command.scope, command.name);
                 self.kernels.push(Kernel { stage, name, calls: 0, microseconds: Vec::new() });
                 self.kernels.len() - 1
             });

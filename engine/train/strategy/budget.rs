@@ -11,8 +11,7 @@ use crate::passes::densify::{
 use crate::train::population::Population;
 use crate::train::schedule::pool_views;
 use crate::train::settings::{ImportanceType, SplitType, TrainSettings};
-use crate::train::strategy::{Strategy, unknown};
-use crate::train::work::{Actions, Changes, Densified, Work};
+use crate::train::strategy::{Actions, Changes, Densified, Strategy, Work, unknown};
 use crate::vk::{Buffer, Context};
 
 /// Pruning of Gaussians that are still faint after the start.
@@ -210,14 +209,14 @@ impl Budget {
     ) -> Result<u32> {
         let (context, settings) = (population.context(), population.settings());
         if wanted == 0 {
-            context.run_commands("select none", |r| r.fill(&buffers.selected, 0))?;
+            context.run("select none", |r| r.fill(&buffers.selected, 0))?;
             return Ok(0);
         }
         let draw = UniqueDrawInputs {
             count: population.count(),
             wanted,
             candidates: Candidates {
-                statistics: &population.statistics()[0],
+                statistics: population.statistics(),
                 threshold: settings.densify_grad_threshold as f32,
             },
             chances: match (importance, settings.importance) {
@@ -228,7 +227,7 @@ impl Budget {
             seed: settings.seed,
             iteration: population.iteration(),
         };
-        context.run_commands("select", |r| self.unique_draw.record(r, &draw, buffers))?;
+        context.run("select", |r| self.unique_draw.record(r, &draw, buffers))?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&buffers.totals)?);
         Ok(totals[2])
     }
@@ -265,7 +264,7 @@ impl Budget {
             population.allocate(&UniqueDrawBuffers::requests(&population.sizes(), population.count()))?;
         let Some(buffers) = buffers.map(UniqueDrawBuffers::from_allocated) else { return Ok(None) };
         let mut sorted = None;
-        context.run_commands("order opacities", |r| {
+        context.run("order opacities", |r| {
             sorted = Some(self.unique_draw.record_opacities(r, population.scene(), &buffers))
         })?;
         let Some(sorted) = sorted else { unreachable!("recorded") };

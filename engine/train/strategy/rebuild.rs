@@ -6,7 +6,7 @@ use crate::passes::densify::{
     ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers, OrderInputs,
 };
 use crate::train::population::{Growth, Population};
-use crate::train::work::{Changes, Densified};
+use crate::train::strategy::{Changes, Densified};
 use crate::vk::{Buffer, Recorder};
 
 /// A densification by decisions per Gaussian.
@@ -34,8 +34,8 @@ impl<'a> Decisions<'a> {
     /// Decides what happens to each Gaussian. `selected`: see [`ClassifyInputs::selected`].
     pub fn classify(&self, population: &Population, selected: Option<&Buffer>) -> Result<Densified> {
         let context = population.context();
-        let inputs = ClassifyInputs { statistics: &population.statistics()[0], selected };
-        context.run_commands("densify: classify", |r| {
+        let inputs = ClassifyInputs { statistics: population.statistics(), selected };
+        context.run("densify: classify", |r| {
             let scene = population.scene();
             self.kernels.record_classify(r, scene, inputs, &self.buffers, &self.settings);
         })?;
@@ -48,7 +48,7 @@ impl<'a> Decisions<'a> {
     pub fn classify_kept(&self, population: &Population) -> Result<Densified> {
         // The buffer is zero until sources are written, so no Gaussian is selected.
         let none = &self.buffers.sources;
-        population.context().run_commands("select none", |r| r.fill(none, 0))?;
+        population.context().run("select none", |r| r.fill(none, 0))?;
         self.classify(population, Some(none))
     }
 
@@ -89,9 +89,9 @@ pub(super) fn order_buffers(population: &Population, rows: u32) -> Result<Option
 
 /// Lowers all opacities to at most this one.
 pub(super) fn reset_opacity(population: &Population, kernels: &Densify, most: f64) -> Result<Changes> {
-    population.context().run_commands("reset opacity", |r| {
-        kernels.record_reset(r, population.scene(), population.moments(), most)
-    })?;
+    population
+        .context()
+        .run("reset opacity", |r| kernels.record_reset(r, population.scene(), population.moments(), most))?;
     Ok(Changes { opacities_reset: true, ..Changes::default() })
 }
 

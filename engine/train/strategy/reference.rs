@@ -6,8 +6,7 @@ use crate::error::Result;
 use crate::passes::densify::{Densify, DensifyForm, DensifySettings, RESET_OPACITY};
 use crate::train::population::Population;
 use crate::train::settings::{SplitType, TrainSettings};
-use crate::train::strategy::{Strategy, unknown};
-use crate::train::work::{Actions, Changes, Densified, Work};
+use crate::train::strategy::{Actions, Changes, Densified, Strategy, Work, unknown};
 use crate::vk::Context;
 
 /// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).

@@ -6,8 +6,7 @@ use crate::error::Result;
 use crate::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, OrderInputs, RandomKey, Relocation};
 use crate::train::population::Population;
 use crate::train::settings::TrainSettings;
-use crate::train::strategy::{Hooks, NOT_IN_OTHERS, StepInputs, Strategy};
-use crate::train::work::{Actions, Changes, Densified, Work};
+use crate::train::strategy::{Actions, Changes, Densified, NOT_IN_OTHERS, StepInputs, Strategy, Work};
 use crate::vk::{Context, Recorder};
 
 /// Size of the set after a densification (3dgs-mcmc, `add_new_gs`), in percent.
@@ -50,10 +49,6 @@ impl Strategy for Mcmc {
         }
     }
 
-    fn records(&self) -> Hooks {
-        Hooks { update: true, ..Hooks::default() }
-    }
-
     fn grows_by_statistics(&self) -> bool {
         false
     }
@@ -61,6 +56,7 @@ impl Strategy for Mcmc {
     fn record_update(&self, r: &mut Recorder, step: &StepInputs) {
         let rate = (step.step.rates.mean * step.settings.noise_lr) as f32;
         if rate > 0.0 {
+            r.barrier();
             let key = RandomKey { seed: step.settings.seed, iteration: step.iteration };
             self.relocation.record_noise(r, step.frame.scene(), &step.frame.buffers.state, &key, rate);
         }
