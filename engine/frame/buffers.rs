@@ -148,12 +148,10 @@ buffer_set! {
     pub list_heads: visible * 4, Count..=Duplicate;
     /// Per depth rank: second word of the list.
     pub list_rows: visible * 4, Count..=Duplicate;
-    /// Per rank: number of tiles touched.
-    pub tiles_touched: visible * 4, Count..=Count;
-    /// Per rank: first instance.
-    pub instance_offsets: visible * 4, Count..=Duplicate;
-    /// Sums and offsets of the scan's blocks.
-    pub scan_blocks: blocks(visible, sizes.scan_block.into()) * 4, Count..=Count;
+    /// Per depth rank: number of instances of the earlier ranks of its block.
+    pub block_instances: visible * 4, Count..=Duplicate;
+    /// Per block of depth ranks: number of instances, which the scan replaces by the index of the first one.
+    pub instance_blocks: blocks(visible, sizes.scan_block.into()) * 4, Count..=Duplicate;
     /// Sorting scratch: counts per digit and block, and per digit and run.
     pub histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)) * 4, DepthSort..=TileSort;
     /// Sorting scratch: keys per digit.
