@@ -82,6 +82,7 @@ impl Instances {
             values: f.depth_sort_values(&self.sizes),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
+            arrivals: &f.sort_arrivals(),
         };
         let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SORT);
         self.sort.record(r, &buffers, Values::Positions, c::DEPTH_KEY_BITS, Workgroups::Indirect(&at));
@@ -158,6 +159,7 @@ impl Instances {
             values: f.tile_sort_values(&self.sizes, inputs.camera),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
+            arrivals: &f.sort_arrivals(),
         };
         let at = f.arguments_at(c::ARGUMENTS_INSTANCES_SORT);
         let bits = bits_of_tiles(inputs.camera);
