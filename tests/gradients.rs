@@ -6,7 +6,7 @@ use crate::common::prelude::*;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::exposure::{Exposures, Matrix, expose, expose_backward};
 use crate::reference::inverse_depth_l1::inverse_depth_l1;
-use crate::reference::loss_reduce;
+use crate::reference::loss;
 use crate::reference::pipeline::{Frame, backward, pixels_of, render, tile_of};
 use crate::reference::project::color as color_of;
 use crate::reference::project_backward::project_backward;
@@ -141,12 +141,12 @@ fn gradient_of_the_loss_agrees_with_finite_differences() {
     let (width, height) = (13, 9);
     let x: Vec<f64> = (0..width * height * 3).map(|_| random.unit()).collect();
     let y: Vec<f64> = (0..width * height * 3).map(|_| random.unit()).collect();
-    let gradient = loss_reduce::loss(&x, &y, width, height).gradient;
+    let gradient = loss::loss(&x, &y, width, height).gradient;
     let each_7th: Vec<f64> = gradient.into_iter().step_by(7).collect();
     let moved = |place: usize, by: f64| {
         let mut x = x.clone();
         x[7 * place] += by;
-        (loss_reduce::loss(&x, &y, width, height).loss, ())
+        (loss::loss(&x, &y, width, height).loss, ())
     };
     compare_with_differences("x", &each_7th, 1e-6, |_| 1e-9, moved);
 }
@@ -319,7 +319,7 @@ fn gradients_of_an_exposure_agree_with_finite_differences() {
     let own: Matrix = [0, 1, 2]
         .map(|row| [0, 1, 2, 3].map(|column| 0.3 * random.signed() + if row == column { 1.0 } else { 0.0 }));
     let loss = |picture: &[[f64; 3]], matrix: &Matrix| {
-        loss_reduce::loss(expose(picture, matrix).as_flattened(), &photo, width, height)
+        loss::loss(expose(picture, matrix).as_flattened(), &photo, width, height)
     };
     let (of_picture, of_matrix) =
         expose_backward(&picture, &own, loss(&picture, &own).gradient.as_chunks().0);

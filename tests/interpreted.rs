@@ -4,7 +4,7 @@
 use crate::common::gpu::Gpu;
 use crate::common::machine::{Machine, on};
 use crate::kernels::{
-    blend, blend_backward, cull, densify, draws, filter_3d, lists, poses, project_backward, scan, sort, ssim,
+    blend, blend_backward, cull, densify, draws, filter_3d, lists, poses, project_backward, scan, sort,
 };
 use ashsplat::frame::LaunchSizes;
 use ashsplat::kernels::sort::{sort_downsweep, sort_upsweep};
@@ -116,6 +116,5 @@ fn wide_densify_and_sum() {
         draws::draw_keys_equals_its_twin();
         draws::sum_weights_equals_its_twin();
         filter_3d::nearest_depths_equals_its_twin();
-        ssim::loss_reduce_equals_its_twin();
     });
 }

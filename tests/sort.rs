@@ -2,7 +2,7 @@
 
 use crate::common::prelude::*;
 use crate::reference::sort::sort_pairs;
-use ashsplat::frame::{LaunchSizes, SortMethod};
+use ashsplat::frame::{LaunchSizes, SORT_ARRIVAL_BYTES, SortMethod};
 use ashsplat::passes::scan::Workgroups;
 use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 
@@ -38,6 +38,8 @@ fn sorted(
     let histogram =
         gpu.untouched::<u32>("histogram", sort.sizes.sort_histogram_words(n as u64 + 3, bits) as usize);
     let digit_totals = gpu.untouched::<u32>("digit_totals", sort.digit_total_words() as usize);
+    let zeros = [0_u8; SORT_ARRIVAL_BYTES as usize];
+    let arrivals = gpu.buffer("arrivals", &zeros);
     let buffers = SortBuffers {
         counts: &counts,
         count_index: 1,
@@ -45,10 +47,12 @@ fn sorted(
         values: [&values_of[0], &values_of[1]],
         histogram: &histogram,
         digit_totals: &digit_totals,
+        arrivals: &arrivals,
     };
     let order = if values.is_some() { Values::Given } else { Values::Positions };
     let mut end = 0;
     gpu.run(|recorder| end = sort.record(recorder, &buffers, order, bits, Workgroups::Elements(n as u64)));
+    assert_eq!(gpu.read::<u8>(&arrivals, zeros.len()), zeros);
     let take = |buffer| {
         let mut words = gpu.read::<u32>(buffer, n + 3);
         assert_eq!(words.split_off(n), [UNTOUCHED; 3]);

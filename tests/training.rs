@@ -6,7 +6,7 @@ use crate::reference::adam::{Parameter, adam};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::classify::Statistic;
 use crate::reference::gather::random_normal;
-use crate::reference::loss_reduce;
+use crate::reference::loss;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
 use crate::reference::reset_opacity::reset_opacity;
@@ -78,7 +78,7 @@ impl Twin {
         let view = view(s.sh_degree_at(iteration));
         let frame = render(&self.gaussians, &view);
         let image: Vec<f64> = frame.pixels.iter().flat_map(|p| p.color).collect();
-        let loss = loss_reduce::loss(&image, &self.truth, SIZE[0] as usize, SIZE[1] as usize);
+        let loss = loss::loss(&image, &self.truth, SIZE[0] as usize, SIZE[1] as usize);
         let (colors, _) = loss.gradient.as_chunks();
         let d_pixels: Vec<PixelGradient> =
             colors.iter().map(|&color| PixelGradient { color, inverse_depth: 0.0 }).collect();

@@ -1,7 +1,7 @@
 //! Buffers of a frame: their contents, their bytes, and the passes between which they live. Buffers that never live at the same
 //! time share memory ([`pack`]).
 
-use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
+use super::{FrameCapacity, LaunchSizes, PictureCapacity, SORT_ARRIVAL_BYTES, blocks, tile_bits, tile_grid};
 use crate::error::{Error, Result};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants::{
@@ -148,12 +148,10 @@ buffer_set! {
     pub list_heads: visible * 4, Count..=Duplicate;
     /// Per depth rank: second word of the list.
     pub list_rows: visible * 4, Count..=Duplicate;
-    /// Per rank: number of tiles touched.
-    pub tiles_touched: visible * 4, Count..=Count;
-    /// Per rank: first instance.
-    pub instance_offsets: visible * 4, Count..=Duplicate;
-    /// Sums and offsets of the scan's blocks.
-    pub scan_blocks: blocks(visible, sizes.scan_block.into()) * 4, Count..=Count;
+    /// Per depth rank: number of instances of the earlier ranks of its block.
+    pub block_instances: visible * 4, Count..=Duplicate;
+    /// Per block of depth ranks: number of instances, which the scan replaces by the index of the first one.
+    pub instance_blocks: blocks(visible, sizes.scan_block.into()) * 4, Count..=Duplicate;
     /// Sorting scratch: counts per digit and block, and per digit and run.
     pub histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)) * 4, DepthSort..=TileSort;
     /// Sorting scratch: keys per digit.
@@ -172,8 +170,8 @@ buffer_set! {
     pub gathered_visible: backward_instances * 4, Ranges..=BlendBackward;
     /// Per visible Gaussian: its first instance.
     pub first_instances: backward * visible * 4, Duplicate..=ProjectBackward;
-    /// Per tile: begin and end in the sorted instances.
-    pub tile_ranges: tiles * 8;
+    /// Per tile: begin and end in the sorted instances. Behind them, so that one fill clears both: [`Self::sort_arrivals`].
+    pub tile_ranges: (tiles * 8).next_multiple_of(PLACEMENT_ALIGNMENT) + SORT_ARRIVAL_BYTES;
     /// Per pixel: premultiplied colour without background, transmittance. With backward in strips it is written only
     /// between passes, and with the inverse depth.
     pub accumulated: pixels * 16, Blend..=BlendBackward;
@@ -332,6 +330,11 @@ impl FrameBuffers {
     /// Gaussian. Their index in `visible_ranges` is that of the range's first culling block.
     pub(crate) fn range_arguments(&self, sizes: &LaunchSizes, first_in_frame: u32) -> Buffer {
         self.visible_ranges.range(32 * u64::from(first_in_frame / sizes.elementwise_workgroup), 12)
+    }
+
+    /// [`SortBuffers::arrivals`](crate::passes::sort::SortBuffers::arrivals) of both sorts.
+    pub fn sort_arrivals(&self) -> Buffer {
+        self.tile_ranges.range(self.tile_ranges.bytes() - SORT_ARRIVAL_BYTES, SORT_ARRIVAL_BYTES)
     }
 
     /// Keys of the depth sort, alternately read and written; the first has the depths, below 2^[`DEPTH_KEY_BITS`].

@@ -2,7 +2,7 @@
 
 use super::tuning::{ELEMENTWISE_WORKGROUP, SortMethod, Tuning, WorkgroupRule};
 use super::{NativeLayout, STRIP_ROWS};
-use crate::kernels::constants::{SORT_BINS, TILE_SIZE};
+use crate::kernels::constants::{SORT_BINS, SORT_GROUPS, TILE_SIZE};
 use crate::kernels::sort::sort_downsweep;
 use crate::vk::{KernelInterface, Limits};
 
@@ -197,6 +197,8 @@ const SORT_RUN_DIGIT_BITS: u32 = 10;
 const SORT_SINGLE_SUBGROUP: u64 = 1 << 18;
 /// Most pairs of a sort in a single subgroup, for any number of passes.
 const SORT_SINGLE_SUBGROUP_PAIRS: u64 = 1 << 17;
+/// Bytes by which the workgroups of a sort count themselves.
+pub const SORT_ARRIVAL_BYTES: u64 = 4 * (SORT_GROUPS as u64 + 1);
 /// Largest buffer alignment within one allocation that a device requires, bytes.
 const BUFFER_ALIGNMENT: u64 = 256;
 
@@ -261,12 +263,14 @@ impl LaunchSizes {
 
     /// Words of a sort's histograms, for `n` keys below 2^`key_bits`: one per block, and one per run of a serial sort.
     pub fn sort_histogram_words(&self, n: u64, key_bits: u32) -> u64 {
+        let blocks = blocks(n, self.sort_block.into()).max(1);
         let histograms = match self.sort_method {
-            SortMethod::Matching => 1,
-            SortMethod::Serial => 1 + u64::from(self.sort_workgroup),
+            // Also one per group, and one for all.
+            SortMethod::Matching => blocks + u64::from(SORT_GROUPS) + 1,
+            SortMethod::Serial => blocks * (1 + u64::from(self.sort_workgroup)),
         };
         let padding = BUFFER_ALIGNMENT / 4;
-        blocks(n, self.sort_block.into()).max(1) * histograms * self.sort_digits(key_bits) + padding
+        histograms * self.sort_digits(key_bits) + padding
     }
 
     /// Number of digits of a sort of keys below 2^`key_bits`. At least four, because runs are counted in fours.

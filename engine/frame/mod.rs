@@ -22,7 +22,7 @@ pub(crate) use camera_block::{CUT_OUT_BYTES, record_blocks, record_cut_outs, rec
 pub use camera_block::{POSE_BYTES, pose_of};
 pub use inputs::{FrameInputs, PlacedScene, PreviousView, SceneBuffers, SceneView};
 pub(crate) use inputs::{Parameters, Part};
-pub use launch_sizes::{BlendShape, LaunchSizes, blocks, region_height};
+pub use launch_sizes::{BlendShape, LaunchSizes, SORT_ARRIVAL_BYTES, blocks, region_height};
 pub(crate) use plan::half_parameter_planes;
 pub use plan::{
     FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, gaussians_with,

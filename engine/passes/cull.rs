@@ -3,9 +3,9 @@
 
 use super::scan::{Counted, Scan};
 use crate::error::Result;
-use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes, blocks};
+use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes};
 use crate::kernels::constants as c;
-use crate::kernels::forward::{compact, cull, cull_scenes, write_visible_ranges};
+use crate::kernels::forward::{compact, cull, cull_scenes};
 use crate::vk::{Context, Kernel, KernelSet, Recorder};
 
 pub(crate) struct Cull {
@@ -15,7 +15,6 @@ pub(crate) struct Cull {
     scene: KernelSet<cull::Interface>,
     batch: KernelSet<cull_scenes::Interface>,
     compact: Kernel<compact::Interface>,
-    write_visible_ranges: Kernel<write_visible_ranges::Interface>,
 }
 
 impl Cull {
@@ -32,7 +31,6 @@ impl Cull {
             scene: KernelSet::default(),
             batch: KernelSet::default(),
             compact: Kernel::new(context, &compact)?,
-            write_visible_ranges: Kernel::new(context, &write_visible_ranges::Spec { workgroup_size })?,
         })
     }
 
@@ -157,7 +155,7 @@ impl Cull {
         r.dispatch(kernel, &bind, &push, (end_block - first_block).into());
     }
 
-    /// Records the compaction of the visible Gaussians, which keep their order.
+    /// Records the compaction of the visible Gaussians, which keep their order, and their ranges.
     pub fn record_compaction(&self, r: &mut Recorder, inputs: &FrameInputs, scan: &Scan) {
         let f = inputs.buffers;
         let (count, block) = (inputs.index_count(), self.sizes.elementwise_workgroup);
@@ -169,9 +167,13 @@ impl Cull {
             capacity: inputs.capacity.visible,
             first_argument: c::ARGUMENTS_VISIBLE,
             caller_block: self.sizes.scan_block,
+            keeps_overflow: inputs.keeps_overflow,
         };
-        scan.record_counted_sums(r, &f.visible_blocks, culled_blocks, counted);
+        scan.record_counted_sums(r, &f.visible_blocks, Some(culled_blocks), counted);
         r.barrier();
+        let scenes = inputs.scenes.len() as u32;
+        // One block per subgroup.
+        let groups = culled_blocks.div_ceil(block / self.subgroup_size).max(scenes.div_ceil(block));
         r.dispatch(
             &self.compact,
             &compact::Bind {
@@ -179,27 +181,17 @@ impl Cull {
                 block_offsets: &f.visible_blocks,
                 visible_list: &f.visible_list,
                 visible_index: &f.visible_index,
-            },
-            &compact::Push { count, capacity: inputs.capacity.visible },
-            // One block per subgroup.
-            blocks(culled_blocks.into(), (block / self.subgroup_size).into()),
-        );
-        let scenes = inputs.scenes.len() as u32;
-        r.dispatch(
-            &self.write_visible_ranges,
-            &write_visible_ranges::Bind {
                 state: &f.state,
-                block_offsets: &f.visible_blocks,
                 visible_ranges: &f.visible_ranges,
                 scene_blocks: &inputs.camera_blocks(),
             },
-            &write_visible_ranges::Push {
+            &compact::Push {
+                count,
+                capacity: inputs.capacity.visible,
                 scenes,
-                blocks: culled_blocks,
-                block_elementwise: block,
                 max_workgroups_per_axis: self.max_workgroups_per_axis,
             },
-            blocks(scenes.into(), block.into()),
+            groups.into(),
         );
     }
 }

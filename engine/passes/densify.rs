@@ -5,7 +5,7 @@
 //! by (seed, iteration, Gaussian, half), so the result does not depend on scheduling.
 
 use crate::error::Result;
-use crate::frame::{GaussianRange, LaunchSizes, SceneBuffers, buffer_set};
+use crate::frame::{GaussianRange, LaunchSizes, SORT_ARRIVAL_BYTES, SceneBuffers, buffer_set};
 use crate::kernels::constants::{
     GATHER_COPIES, GATHER_LOG_SCALE, GATHER_MEAN_OPACITY, GATHER_MOMENTS, GATHER_PLACES, PLANE_LOG_SCALE,
     PLANE_MEAN_OPACITY, ZORDER_BITS,
@@ -297,6 +297,8 @@ buffer_set! {
     pub histogram as "zorder_histogram": sizes.sort_histogram_words(rows.into(), ZORDER_BITS) * 4;
     /// Sorting scratch: keys per digit.
     pub digit_totals as "zorder_digit_totals": (1 << sizes.sort_digit_bits()) * 4;
+    /// Sorting scratch: zeros.
+    pub arrivals as "zorder_arrivals": SORT_ARRIVAL_BYTES;
 }
 
 /// Rows of a new set to sort along a curve.
@@ -327,6 +329,7 @@ impl Densify {
         let sources = [inputs.sources, &order.sources];
         r.scope("order", |r| {
             r.fill(&totals.range(DensifyBuffers::ROWS * 4, 4), rows);
+            r.fill(&order.arrivals, 0);
             scene.record_chunks(r, |r, range, parameters| {
                 let bind = zorder::Bind { sources: sources[0], parameters, keys: &order.keys_a };
                 let push = zorder::Push {
@@ -346,6 +349,7 @@ impl Densify {
                 values: sources,
                 histogram: &order.histogram,
                 digit_totals: &order.digit_totals,
+                arrivals: &order.arrivals,
             };
             let elements = Workgroups::Elements(rows.into());
             let end = self.sort.record(r, &pairs, Values::Given, ZORDER_BITS, elements);

@@ -4,7 +4,7 @@
 //! The visible Gaussians are sorted by depth before they are duplicated to instances. Only the instances' tile bits then remain
 //! to be sorted, stably, and the order is that of the paper's 64-bit (tile | depth) key.
 
-use super::scan::{Counted, Scan, ScanBuffers, Workgroups};
+use super::scan::{Counted, Scan, Workgroups};
 use super::sort::{RadixSort, SortBuffers, Values};
 use crate::error::Result;
 use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, bits_of_tiles, tile_grid};
@@ -43,6 +43,7 @@ impl Instances {
                 workgroup_size,
                 subgroup_size,
                 items: sizes.tuning.duplicate_items,
+                scan_block: sizes.scan_block,
                 ..duplicate_with_tiles::Spec::default()
             },
             ranges: [ranges(false)?, ranges(true)?],
@@ -81,43 +82,36 @@ impl Instances {
             values: f.depth_sort_values(&self.sizes),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
+            arrivals: &f.sort_arrivals(),
         };
         let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SORT);
         self.sort.record(r, &buffers, Values::Positions, c::DEPTH_KEY_BITS, Workgroups::Indirect(&at));
     }
 
-    /// Records the tile counts and lists of the visible Gaussians in depth order, prefix sums of the counts, and the number of
-    /// instances.
+    /// Records the lists of tiles of the visible Gaussians in depth order, the place of their instances, and the number of instances.
     pub fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs, scan: &Scan) {
         let f = inputs.buffers;
         let bind = count::Bind {
             state: &f.state,
             order: &f.depth_order,
             tile_lists: &f.tile_lists,
-            tiles_touched: &f.tiles_touched,
             list_heads: &f.list_heads,
             list_rows: &f.list_rows,
-            block_sums: &f.scan_blocks,
+            block_instances: &f.block_instances,
+            block_sums: &f.instance_blocks,
         };
         let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SCAN);
         r.dispatch_indirect(&self.count, &bind, &count::Push {}, &at);
         r.barrier();
-        let buffers = ScanBuffers {
-            counts: &f.state,
-            count_index: c::STATE_VISIBLE,
-            total_index: c::STATE_INSTANCES_NEEDED,
-            values: &f.tiles_touched,
-            prefix: &f.instance_offsets,
-            block_sums: &f.scan_blocks,
-        };
         let counted = Counted {
             frame: f,
             count: c::STATE_INSTANCES_NEEDED,
             capacity: inputs.capacity.instances,
             first_argument: c::ARGUMENTS_INSTANCES,
             caller_block: self.sizes.elementwise_workgroup * self.sizes.tuning.duplicate_items,
+            keeps_overflow: true,
         };
-        scan.record_from_block_sums(r, &buffers, Workgroups::Indirect(&at), Some(counted));
+        scan.record_counted_sums(r, &f.instance_blocks, None, counted);
     }
 
     /// Records duplicate_with_tiles: one (tile, Gaussian) instance per touched tile.
@@ -128,7 +122,8 @@ impl Instances {
         let bind = duplicate_with_tiles::Bind {
             state: &f.state,
             order: &f.depth_order,
-            instance_offsets: &f.instance_offsets,
+            block_instances: &f.block_instances,
+            block_offsets: &f.instance_blocks,
             mean2d_extent: splats.mean2d_extent,
             footprints: splats.footprints,
             list_heads: &f.list_heads,
@@ -164,6 +159,7 @@ impl Instances {
             values: f.tile_sort_values(&self.sizes, inputs.camera),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
+            arrivals: &f.sort_arrivals(),
         };
         let at = f.arguments_at(c::ARGUMENTS_INSTANCES_SORT);
         let bits = bits_of_tiles(inputs.camera);

@@ -4,9 +4,7 @@
 use crate::error::Result;
 pub use crate::frame::NativeLayout;
 use crate::frame::{LaunchSizes, Strips, blocks, tile_grid};
-use crate::kernels::loss::{
-    loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep,
-};
+use crate::kernels::loss::{ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep};
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 pub(crate) use term::check_depth_points;
 pub use term::{DepthPoint, DepthPointBuffers, LossTerm, TermData, TermInputs};
@@ -24,11 +22,7 @@ pub struct Loss {
 /// Kernels that evaluate SSIM's window. The results of both forms agree except for rounding.
 enum Windows {
     /// Workgroups load blocks of 16×16 pixels into shared memory.
-    Blocks {
-        forward: Kernel<ssim_forward::Interface>,
-        backward: Kernel<ssim_backward::Interface>,
-        reduce: Kernel<loss_reduce::Interface>,
-    },
+    Blocks { forward: Kernel<ssim_forward::Interface>, backward: Kernel<ssim_backward::Interface> },
     /// Each invocation moves along a strip of eight rows, with all values in registers.
     Sweeps {
         forward: Kernel<ssim_forward_sweep::Interface>,
@@ -152,11 +146,9 @@ impl Loss {
                 let forward =
                     ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
                 let backward = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
-                let reduce = loss_reduce::Spec { workgroup_size, subgroup_size };
                 Windows::Blocks {
                     forward: Kernel::new(context, &forward)?,
                     backward: Kernel::new(context, &backward)?,
-                    reduce: Kernel::new(context, &reduce)?,
                 }
             }
             NativeLayout::Strips => {
@@ -202,7 +194,7 @@ impl Loss {
             panic!("no scratch buffers of the loss");
         };
         r.scope("loss", |r| match &self.windows {
-            Windows::Blocks { forward, backward, reduce } => {
+            Windows::Blocks { forward, backward } => {
                 let (columns, rows) = tile_grid(image_width, image_height);
                 by_channels(r, derivatives, |r, first_channel, channels, derivatives| {
                     let bind =
@@ -211,9 +203,16 @@ impl Loss {
                     r.dispatch_3d(forward, &bind, &push, [columns, rows, channels]);
                 });
                 r.barrier();
+                let partials = (ScratchBytes::of(self.layout, image_width, image_height).partials / 8) as u32;
                 by_channels(r, derivatives, |r, first_channel, channels, derivatives| {
-                    let bind =
-                        ssim_backward::Bind { accumulated: rendered, photo, derivatives, image_gradient };
+                    let bind = ssim_backward::Bind {
+                        accumulated: rendered,
+                        photo,
+                        derivatives,
+                        image_gradient,
+                        loss_partials,
+                        losses,
+                    };
                     let push = ssim_backward::Push {
                         image_width,
                         image_height,
@@ -221,13 +220,12 @@ impl Loss {
                         first_channel,
                         lambda_dssim,
                         weight,
+                        // The first dispatch adds the sums of all channels.
+                        partials: if first_channel == 0 { partials } else { 0 },
+                        loss_row,
                     };
                     r.dispatch_3d(backward, &bind, &push, [columns, rows, channels]);
                 });
-                let partials = (ScratchBytes::of(self.layout, image_width, image_height).partials / 8) as u32;
-                let scale = 1.0 / (3.0 * image_width as f32 * image_height as f32);
-                let push = loss_reduce::Push { partials, loss_row, scale, lambda_dssim, weight };
-                r.dispatch(reduce, &loss_reduce::Bind { loss_partials, losses }, &push, 1);
             }
             Windows::Sweeps { forward, backward } => {
                 let Sweeps { columns, per_channel } = Sweeps::new(image_width, image_height);

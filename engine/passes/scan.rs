@@ -6,6 +6,7 @@
 
 use crate::error::Result;
 use crate::frame::{FrameBuffers, LaunchSizes, blocks};
+use crate::kernels::constants::STATE_VISIBLE;
 use crate::kernels::scan::{scan_apply, scan_reduce, scan_spine};
 use crate::vk::{Buffer, Context, Kernel, KernelInterface, Recorder};
 
@@ -52,6 +53,8 @@ pub(crate) struct Counted<'a> {
     pub first_argument: u32,
     /// Elements per workgroup of the caller's dispatch.
     pub caller_block: u32,
+    /// False: a frame's first count, that of the visible Gaussians, clears `STATE_OVERFLOW`, too.
+    pub keeps_overflow: bool,
 }
 
 /// How a stage over elements that the device counts is dispatched: for the host's upper bound, or by arguments of the device.
@@ -120,19 +123,6 @@ impl Scan {
         let push = scan_reduce::Push { count_index: b.count_index };
         workgroups.dispatch(recorder, &self.reduce, &reduce, &push, self.block);
         recorder.barrier();
-        self.record_from_block_sums(recorder, buffers, workgroups, None);
-    }
-
-    /// Records the prefix sum of values with sums per block of `Scan::block` already in `block_sums`. `counted`: the total, in a
-    /// frame. The caller places a barrier before and after.
-    pub(crate) fn record_from_block_sums(
-        &self,
-        recorder: &mut Recorder,
-        buffers: &ScanBuffers,
-        workgroups: Workgroups,
-        counted: Option<Counted>,
-    ) {
-        let b = buffers;
         let push = scan_spine::Push {
             count: b.count_index,
             from_totals: 1,
@@ -140,7 +130,7 @@ impl Scan {
             total_index: b.total_index,
             ..self.push
         };
-        self.record_spine(recorder, b.block_sums, b.counts, push, counted);
+        self.record_spine(recorder, b.block_sums, b.counts, push, None);
         recorder.barrier();
         let apply = scan_apply::Bind {
             counts: b.counts,
@@ -160,25 +150,33 @@ impl Scan {
         push: scan_spine::Push,
         counted: Option<Counted>,
     ) {
-        let Some(Counted { frame, capacity, first_argument, caller_block, .. }) = counted else {
+        let Some(Counted { frame, capacity, first_argument, caller_block, keeps_overflow, .. }) = counted
+        else {
             // The plain kernel does not write this binding.
             let bind = scan_spine::Bind { block_sums, totals, arguments: totals };
             return r.dispatch(&self.spine, &bind, &push, 1);
         };
         let bind = scan_spine::Bind { block_sums, totals, arguments: &frame.arguments };
-        let push = scan_spine::Push { capacity, first_argument, caller_block, ..push };
+        let keeps_overflow = keeps_overflow.into();
+        let push = scan_spine::Push { capacity, first_argument, caller_block, keeps_overflow, ..push };
         r.dispatch(&self.counting_spine, &bind, &push, 1);
     }
 
-    /// Records only the scan of a frame's first `blocks` block sums, in place. Their total is the count.
+    /// Records only the scan of a frame's first `blocks` block sums, in place. Their total is the count. None: a sum for each
+    /// [`LaunchSizes::scan_block`] visible Gaussians.
     pub(crate) fn record_counted_sums(
         &self,
         r: &mut Recorder,
         block_sums: &Buffer,
-        blocks: u32,
+        blocks: Option<u32>,
         counted: Counted,
     ) {
-        let push = scan_spine::Push { count: blocks, block_size: 1, total_index: counted.count, ..self.push };
+        let (count, from_totals, block_size) = match blocks {
+            Some(blocks) => (blocks, 0, 1),
+            None => (STATE_VISIBLE, 1, self.block),
+        };
+        let total_index = counted.count;
+        let push = scan_spine::Push { count, from_totals, block_size, total_index, ..self.push };
         self.record_spine(r, block_sums, &counted.frame.state, push, Some(counted));
     }
 

@@ -1,9 +1,10 @@
 //! Stable radix sort of (u32 key, u32 value) pairs on the device, usable by itself.
 //!
-//! Least significant digit first, three dispatches per digit: a histogram per block, the scan of each digit's row, a stable
-//! scatter. Reduce-then-scan assumes no forward progress between workgroups, and any subgroup size from 4 to 128 works. Only
-//! the given number of key bits is sorted. Counting and scattering have two forms, see [`SortMethod`]. If
-//! [`LaunchSizes::sorts_in_single_subgroup`] is true, a single subgroup sorts the pairs in one dispatch.
+//! Least significant digit first, two dispatches per digit: a histogram per block with prefix sums over the blocks, and a stable
+//! scatter. The serial sort has a third dispatch for the sums. No workgroup waits for another, so no forward progress is
+//! assumed, and any subgroup size from 4 to 128 works. Only the given number of key bits is sorted. Counting and scattering
+//! have two forms, see [`SortMethod`]. If [`LaunchSizes::sorts_in_single_subgroup`] is true, a single subgroup sorts the pairs
+//! in one dispatch.
 
 use crate::error::Result;
 use crate::frame::{LaunchSizes, SortMethod, blocks};
@@ -19,11 +20,8 @@ pub struct RadixSort {
     /// Sizes of its blocks and buffers.
     pub sizes: LaunchSizes,
     kernels: Kernels,
-    spine: Kernel<sort_spine::Interface>,
     /// Sort in a single subgroup: with given values, and with the keys' indices as values.
     single_subgroup: Option<[Kernel<sort_single_subgroup::Interface>; 2]>,
-    /// Number of digits per workgroup of the histogram's scan.
-    rows: u32,
 }
 
 /// Kernels that count, and that scatter with given values and with the keys' indices.
@@ -34,6 +32,9 @@ enum Kernels {
     },
     Serial {
         upsweep: Kernel<sort_upsweep_serial::Interface>,
+        spine: Kernel<sort_spine::Interface>,
+        /// Number of digits per workgroup of the spine.
+        rows: u32,
         downsweep: [Kernel<sort_downsweep_serial::Interface>; 2],
     },
 }
@@ -53,6 +54,8 @@ pub struct SortBuffers<'a> {
     pub histogram: &'a Buffer,
     /// Scratch: [`RadixSort::digit_total_words`] words.
     pub digit_totals: &'a Buffer,
+    /// [`SORT_ARRIVAL_BYTES`](crate::frame::SORT_ARRIVAL_BYTES) of zeros, which the sort leaves as zeros.
+    pub arrivals: &'a Buffer,
 }
 
 impl SortBuffers<'_> {
@@ -80,9 +83,6 @@ impl RadixSort {
     /// Builds the kernels for the sizes of [`LaunchSizes::with_sort_method`].
     pub fn with_sizes(context: &Context, sizes: LaunchSizes) -> Result<Self> {
         let subgroup_size = context.limits().subgroup_size;
-        let whole_rows = sizes.sort_method == SortMethod::Matching;
-        let workgroup_size = sizes.elementwise_workgroup;
-        let spine = sort_spine::Spec { workgroup_size, subgroup_size, whole_rows };
         let single = |identity_values| {
             let spec =
                 sort_single_subgroup::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };
@@ -90,13 +90,11 @@ impl RadixSort {
         };
         Ok(Self {
             kernels: Kernels::new(context, &sizes)?,
-            spine: Kernel::new(context, &spine)?,
             single_subgroup: if sizes.sort_single_subgroup {
                 Some([single(false)?, single(true)?])
             } else {
                 None
             },
-            rows: if whole_rows { 1 } else { sizes.elementwise_workgroup / subgroup_size },
             sizes,
         })
     }
@@ -161,29 +159,34 @@ impl RadixSort {
         let of_runs = blocks * u64::from(self.sizes.sort_workgroup) * (1 << bits).max(4) * 4;
         match &self.kernels {
             Kernels::Matching { upsweep, downsweep } => {
-                let bind = sort_upsweep::Bind { counts, keys, histogram: b.histogram };
+                let (histogram, arrivals) = (b.histogram, b.arrivals);
+                let bind = sort_upsweep::Bind { counts, keys, histogram, arrivals };
                 let push = sort_upsweep::Push { count_index, shift, bits };
                 workgroups.dispatch(recorder, upsweep, &bind, &push, block);
-                self.record_spine(recorder, b, b.histogram, bits);
+                recorder.barrier();
                 let bind = sort_downsweep::Bind {
                     counts,
                     keys,
                     values,
-                    histogram: b.histogram,
-                    digit_totals: b.digit_totals,
+                    histogram,
                     sorted_keys: b.keys[to],
                     sorted_values: b.values[to],
                 };
                 let push = sort_downsweep::Push { count_index, shift, bits };
                 workgroups.dispatch(recorder, &downsweep[usize::from(identity)], &bind, &push, block);
             }
-            Kernels::Serial { upsweep, downsweep } => {
+            Kernels::Serial { upsweep, spine, rows, downsweep } => {
                 let histogram = &b.histogram.range(0, of_blocks);
                 let run_counts = &b.histogram.range(LaunchSizes::sort_runs_offset(of_blocks), of_runs);
                 let bind = sort_upsweep_serial::Bind { counts, keys, histogram, run_counts };
                 let push = sort_upsweep_serial::Push { count_index, shift, bits };
                 workgroups.dispatch(recorder, upsweep, &bind, &push, block);
-                self.record_spine(recorder, b, histogram, bits);
+                recorder.barrier();
+                let digits = 1 << bits;
+                let bind = sort_spine::Bind { counts, histogram, digit_totals: b.digit_totals };
+                let push = sort_spine::Push { count_index, block_size: block, digits };
+                recorder.dispatch(spine, &bind, &push, digits.div_ceil(*rows).into());
+                recorder.barrier();
                 let bind = sort_downsweep_serial::Bind {
                     counts,
                     keys,
@@ -198,16 +201,6 @@ impl RadixSort {
                 workgroups.dispatch(recorder, &downsweep[usize::from(identity)], &bind, &push, block);
             }
         }
-    }
-
-    /// Records the scan of each digit's row, between two barriers.
-    fn record_spine(&self, recorder: &mut Recorder, b: &SortBuffers, histogram: &Buffer, bits: u32) {
-        let (digits, block_size) = (1 << bits, self.sizes.sort_block);
-        let bind = sort_spine::Bind { counts: b.counts, histogram, digit_totals: b.digit_totals };
-        let push = sort_spine::Push { count_index: b.count_index, block_size, digits };
-        recorder.barrier();
-        recorder.dispatch(&self.spine, &bind, &push, blocks(digits.into(), self.rows.into()));
-        recorder.barrier();
     }
 }
 
@@ -233,9 +226,14 @@ impl Kernels {
                     Kernel::new(context, &spec)
                 };
                 let upsweep = sort_upsweep_serial::Spec { workgroup_size, subgroup_size, items };
-                let (upsweep, downsweep) =
-                    (Kernel::new(context, &upsweep)?, [downsweep(false)?, downsweep(true)?]);
-                Ok(Self::Serial { upsweep, downsweep })
+                let spine_workgroup = sizes.elementwise_workgroup;
+                let spine = sort_spine::Spec { workgroup_size: spine_workgroup, subgroup_size };
+                Ok(Self::Serial {
+                    upsweep: Kernel::new(context, &upsweep)?,
+                    spine: Kernel::new(context, &spine)?,
+                    rows: spine_workgroup / subgroup_size,
+                    downsweep: [downsweep(false)?, downsweep(true)?],
+                })
             }
         }
     }

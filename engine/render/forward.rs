@@ -111,14 +111,6 @@ impl Forward {
             (0..views).for_each(|number| record_blocks(r, &view(number)));
             record_cut_outs(r, inputs);
             record_scene_firsts(r, inputs);
-            let overflow = 4 * u64::from(c::STATE_OVERFLOW);
-            match inputs.keeps_overflow {
-                false => r.fill(&f.state, 0),
-                true => {
-                    r.fill(&f.state.range(0, overflow), 0);
-                    r.fill(&f.state.range(overflow + 4, f.state.bytes() - overflow - 4), 0);
-                }
-            }
             r.fill(&f.tile_ranges, 0);
         });
         pass(r, "cull", |r| {

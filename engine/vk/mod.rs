@@ -20,6 +20,7 @@
 //! | `context` | the open [`Context`]; [`Context::new`] and its options, [`Context::from_foreign`] |
 //! | `image` | [`Image`]: a host's or our own, and its owner |
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
+//! | `barriers` | stages of the barriers of a recording |
 //! | `hazard` | missing barriers of a recording |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`]; [`Context::upload`], [`Context::download`] |
@@ -33,9 +34,9 @@
 //! at any time. Dropping a recorder discards the recording; dropping a pending submission waits for it.
 //!
 //! # Synchronisation
-//! Inside a recording, commands may overlap unless a [`Recorder::barrier`] separates them. There is one kind of barrier:
-//! from compute and transfer to compute, transfer and indirect arguments. It is placed by hand where a stage needs it, like
-//! a `__syncthreads` of the whole device. The hazard checker knows the reads and writes of each command. It panics, and
+//! Inside a recording, commands may overlap unless a [`Recorder::barrier`] separates them. There is one kind of barrier.
+//! It is placed by hand where a stage needs it, like a `__syncthreads` of the whole device; the recorder finds the stages
+//! that wait. The hazard checker knows the reads and writes of each command. It panics, and
 //! names both commands, if a barrier is missing. Between recordings no barrier is needed: each begins with a full barrier,
 //! and ends with one towards the host. A lock guards the queue, so several threads may use a context.
 //!
@@ -51,6 +52,7 @@
 #![allow(unsafe_code)]
 
 mod audit;
+mod barriers;
 mod binding_numbers;
 mod budget;
 mod commands;

@@ -1,6 +1,7 @@
 //! Records commands: dispatches, fills, copies, and the barriers between them.
 
 use super::audit;
+use super::barriers::{Barriers, COMPUTE, TRANSFER};
 use super::binding_numbers::BUFFERS;
 use super::commands::Commands;
 use super::format::{Access, ImageKind, TexelFormat};
@@ -98,6 +99,8 @@ pub struct Recorder {
     pub(super) kept: Arc<Mutex<Kept>>,
     bound: vk::Pipeline,
     hazards: Option<Hazards>,
+    order: Barriers,
+    /// Number of calls of [`Recorder::barrier`].
     barriers: u32,
     #[cfg(feature = "testing")]
     omitted: Vec<u32>,
@@ -133,10 +136,17 @@ impl Recorder {
         profiler: Profiler,
         label: &'static str,
     ) -> Self {
+        let order = match commands {
+            // It begins with a full barrier.
+            Target::Owned(_) => Barriers::default(),
+            // The host's commands.
+            Target::Foreign(..) => Barriers::behind(COMPUTE | TRANSFER),
+        };
         let mut recorder = Self {
             commands,
             profiler,
             kept,
+            order,
             bound: vk::Pipeline::null(),
             hazards: inner.hazard_check.then(Hazards::default),
             barriers: 0,
@@ -243,6 +253,11 @@ impl Recorder {
         if !self.prepare(&kernel.pipeline, &bound, push) {
             return;
         }
+        let stages = match grid {
+            Grid::Of(_) => COMPUTE,
+            Grid::In(arguments) => self.order.stages_of_indirect(arguments),
+        };
+        self.record_due_barrier(stages);
         match grid {
             // SAFETY: the pipeline and everything that it uses are bound, the counts are within the limits.
             Grid::Of([x, y, z]) => unsafe { self.inner.device.cmd_dispatch(self.raw(), x, y, z) },
@@ -269,6 +284,8 @@ impl Recorder {
         workgroups: Option<[u32; 3]>,
         uses: impl Iterator<Item = (&'a Buffer, &'static str, Access)> + Clone,
     ) {
+        let written = uses.clone().filter(|(_, _, access)| access.writes());
+        written.for_each(|(buffer, _, _)| self.order.note_write(buffer));
         self.audit(name, uses.clone());
         let raw = self.raw();
         self.profiler.command(&self.inner, raw, self.barriers, || {
@@ -289,6 +306,7 @@ impl Recorder {
         let copies: Vec<_> = profiled.copies().collect();
         if !copies.is_empty() {
             self.barrier();
+            self.record_due_barrier(TRANSFER);
         }
         for (from, to) in copies {
             lock(&self.kept).block(to.block());
@@ -389,10 +407,11 @@ impl Recorder {
         if let Some(hazards) = &mut self.hazards {
             hazards.commit(command);
         }
+        self.record_due_barrier(TRANSFER);
     }
 
-    /// Orders all earlier commands before all later ones: compute and transfer writes become visible to compute, transfers
-    /// and indirect arguments. It is the only kind of barrier.
+    /// Orders all earlier commands before all later ones: their writes become visible, also as indirect arguments. The device
+    /// gets a barrier between the stages that both use.
     pub fn barrier(&mut self) {
         #[cfg(feature = "testing")]
         if self.omits_barrier() {
@@ -402,22 +421,17 @@ impl Recorder {
         if let Some(hazards) = &mut self.hazards {
             hazards.barrier();
         }
-        self.record_barrier();
+        self.order.add();
     }
 
-    fn record_barrier(&self) {
-        type Stage = vk::PipelineStageFlags2;
-        type Flags = vk::AccessFlags2;
-        // All stages on both sides: a write must also wait for earlier reads.
-        let stages = Stage::COMPUTE_SHADER | Stage::ALL_TRANSFER | Stage::DRAW_INDIRECT;
-        let writes = Flags::SHADER_WRITE | Flags::TRANSFER_WRITE;
-        let shader_reads = Flags::SHADER_READ | Flags::UNIFORM_READ;
-        let reads = shader_reads | Flags::TRANSFER_READ | Flags::INDIRECT_COMMAND_READ;
-        let barrier = vk::MemoryBarrier2::default()
-            .src_stage_mask(stages)
-            .src_access_mask(writes)
-            .dst_stage_mask(stages)
-            .dst_access_mask(reads | writes);
+    /// Records the barrier before a command of these stages, if one is due.
+    fn record_due_barrier(&mut self, stages: vk::PipelineStageFlags2) {
+        if let Some(barrier) = self.order.order(stages) {
+            self.record_barrier(barrier);
+        }
+    }
+
+    fn record_barrier(&self, barrier: vk::MemoryBarrier2<'_>) {
         self.inner.barrier(self.raw(), &vk::DependencyInfo::default().memory_barriers(&[barrier]));
     }
 
@@ -695,12 +709,17 @@ impl Recorder {
         let Some(mut audit) = self.audit.take() else { return };
         let written = uses.filter(|(_, _, access)| access.writes()).map(|(buffer, _, _)| buffer);
         let copies = audit.snapshot(&self.inner, command, written);
-        self.record_barrier();
+        let everything = vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
+        self.record_barrier(everything);
         for (from, to) in copies {
             // The audit keeps the copy until it is hashed.
             from.record_copy(self.raw(), &to);
         }
-        self.record_barrier();
+        self.record_barrier(everything);
         let is_full = audit.is_full();
         self.audit = Some(audit);
         if is_full && let Err(error) = self.submit_snapshots() {
@@ -733,7 +752,7 @@ impl Recorder {
         }
         self.barriers += 1;
         if self.hazards.as_ref().is_some_and(|hazards| hazards.collected.is_some()) {
-            self.record_barrier();
+            self.order.add();
         }
         true
     }

@@ -8,8 +8,8 @@
 // one row, and the tiles of these rows are distributed in the same way.
 //
 // invocation: ITEMS instances; subgroup: a run of SUBGROUP_SIZE * ITEMS consecutive instances
-// in: order[rank], instance_offsets[rank] (exclusive prefix sums of the tile counts), list_heads[rank], list_rows[rank]
-//     (tile_list.glsl); for Gaussians without a list, PerVisible: mean2d_extent, footprints
+// in: order[rank], block_instances[rank] and block_offsets[rank / SCAN_BLOCK] (their sum: a Gaussian's first instance),
+//     list_heads[rank], list_rows[rank] (tile_list.glsl); for Gaussians without a list, PerVisible: mean2d_extent, footprints
 // out: instance_tiles[instance] (sort keys), instance_visible[instance]; with FOR_BACKWARD first_instances[visible] = its
 //      first instance
 // shared: none; subgroup sizes 4 to 128
@@ -30,18 +30,20 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint ITEMS = 16;
 layout(constant_id = 3) const bool FOR_BACKWARD = true;
+layout(constant_id = 4) const uint SCAN_BLOCK = 1024;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
 UINT_READS(1, Order, order);
-UINT_READS(2, InstanceOffsets, instance_offsets);
-VEC4_READS(3, Mean2dExtent, mean2d_extent);
-UVEC4_READS(4, Footprints, footprints);
-UINT_READS(5, ListHeads, list_heads);
-UINT_READS(6, ListRows, list_rows);
-layout(set = 0, binding = 7, scalar) writeonly buffer InstanceTiles { uint instance_tiles[]; };
-layout(set = 0, binding = 8, scalar) writeonly buffer InstanceVisible { uint instance_visible[]; };
-layout(set = 0, binding = 9, scalar) writeonly buffer FirstInstances { uint first_instances[]; };
+UINT_READS(2, BlockInstances, block_instances);
+UINT_READS(3, BlockOffsets, block_offsets);
+VEC4_READS(4, Mean2dExtent, mean2d_extent);
+UVEC4_READS(5, Footprints, footprints);
+UINT_READS(6, ListHeads, list_heads);
+UINT_READS(7, ListRows, list_rows);
+layout(set = 0, binding = 8, scalar) writeonly buffer InstanceTiles { uint instance_tiles[]; };
+layout(set = 0, binding = 9, scalar) writeonly buffer InstanceVisible { uint instance_visible[]; };
+layout(set = 0, binding = 10, scalar) writeonly buffer FirstInstances { uint first_instances[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint extent;
@@ -65,13 +67,17 @@ layout(push_constant, scalar) uniform Push {
 
 const uint RUN = SUBGROUP_SIZE * ITEMS;
 
-// Last rank in [low, low + ranks) with an offset of at most `instance`. The lanes probe at equal distances in each round.
+uint first_instance(uint rank) {
+    return UINT_AT(block_instances, rank) + UINT_AT(block_offsets, rank / SCAN_BLOCK);
+}
+
+// Last rank in [low, low + ranks) whose first instance is at most `instance`. The lanes probe at equal distances in each round.
 uint find_rank(uint instance, uint low, uint ranks) {
     while (ranks > 1) {
         uint apart = (ranks + SUBGROUP_SIZE - 1) / SUBGROUP_SIZE;
         uint probe = gl_SubgroupInvocationID * apart;
         bool exists = probe < ranks;
-        bool passed = exists && UINT_AT(instance_offsets, low + (exists ? probe : 0)) <= instance;
+        bool passed = exists && first_instance(low + (exists ? probe : 0)) <= instance;
         // The first lane's probe always passes, because the searched rank is at or after it.
         uint last = max(subgroupBallotBitCount(subgroupBallot(passed)), 1) - 1;
         low += last * apart;
@@ -99,7 +105,7 @@ void put_unlisted(uint rank, uint visible_count, uint run_begin, uint run_end) {
         uint own_rank = rank + gl_SubgroupInvocationID;
         bool exists = own_rank < visible_count;
         uint safe_rank = exists ? own_rank : 0;
-        uint offset = UINT_AT(instance_offsets, safe_rank);
+        uint offset = first_instance(safe_rank);
         uint head = UINT_AT(list_heads, safe_rank);
         uint tiles = exists ? tiles_met(uvec2(head, 0)) : 0;
         bool ends = !exists || offset >= run_end;
@@ -167,7 +173,7 @@ void main() {
         uint rank = first_rank + gl_SubgroupInvocationID;
         bool exists = rank < visible_count;
         uint safe_rank = exists ? rank : first_rank;
-        uint offset = exists ? UINT_AT(instance_offsets, safe_rank) : 0xFFFFFFFF;
+        uint offset = exists ? first_instance(safe_rank) : 0xFFFFFFFF;
         uint visible = UINT_AT(order, safe_rank);
         uvec2 list = uvec2(UINT_AT(list_heads, safe_rank), UINT_AT(list_rows, safe_rank));
         uint tiles = exists ? tiles_met(list) : 0;

@@ -75,7 +75,7 @@ vec3 highlighted(vec3 color, uint index) {
 void main() {
     uint block = min(first_block + linear_workgroup(), blocks);
     bool own = load_scene(block);
-    // Same computation as in write_visible_ranges.
+    // Same computation as in compact.comp.
     uint all = state[STATE_VISIBLE];
     uint next = UINT_AT(block_offsets, block + 1 < blocks ? block + 1 : 0);
     uint visible = min(UINT_AT(block_offsets, min(block, blocks - 1)), all) + gl_LocalInvocationID.x;

@@ -117,6 +117,11 @@ const uint ARGUMENTS_COUNT = 6;
 
 // Radix sort: maximum number of bins of one digit.
 const uint SORT_BINS = 256;
+#ifdef SORT_ROWS
+// Groups of a sort's blocks: most groups, and fewest blocks of a group if there are several.
+const uint SORT_GROUPS = 64;
+const uint SORT_GROUP_BLOCKS = 16;
+#endif
 
 // Words from one scene's camera block to the next (scene_blocks.glsl).
 const uint CAMERA_BLOCK_WORDS = 64;

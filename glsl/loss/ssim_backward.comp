@@ -2,9 +2,10 @@
 //
 //   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
 //
-// invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
-// in, PerPixel: accumulated, photo; PerPixel and channel: derivatives of ssim_forward.comp;
-// out, PerPixel: image_gradient[4 * pixel + channel]
+// invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable. The first one also
+// adds the `partials` of the forward pass in a fixed order, behind which the others hide its latency
+// in, PerPixel: accumulated, photo; PerPixel and channel: derivatives of ssim_forward.comp; loss_partials[partials]
+// out, PerPixel: image_gradient[4 * pixel + channel]; losses[loss_row] = (weight * L, mean |x - y|, mean SSIM, unused)
 // shared: 3 * (26^2 + 26 * 16) words; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -24,6 +25,8 @@ layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumula
 layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer Derivatives { vec3 derivatives[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer ImageGradient { float image_gradient[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer LossPartials { vec2 loss_partials[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer Losses { vec4 losses[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -31,7 +34,11 @@ layout(push_constant, scalar) uniform Push {
     vec3 background;
     uint first_channel;
     float lambda_dssim;
+    // Weight of the loss and its gradient, but not of the means.
     float weight;
+    // Number of partial sums of all channels; 0 if another dispatch adds them.
+    uint partials;
+    uint loss_row;
 };
 
 #include "ssim.glsl"
@@ -50,9 +57,35 @@ vec3 row_at(uint at) {
     return vec3(rows[3 * at], rows[3 * at + 1], rows[3 * at + 2]);
 }
 
+float mean_scale() {
+    return 1.0 / (3.0 * float(image_width) * float(image_height));
+}
+
+// Adds the loss without subgroups, so that the driver chooses their size.
+void add_partials() {
+    const uint adders = min(WORKGROUP_SIZE, SSIM_BLOCK * SSIM_BLOCK);
+    uint adder = gl_LocalInvocationID.x;
+    vec2 sum = vec2(0.0);
+    for (uint index = adder; adder < adders && index < partials; index += adders) {
+        sum += loss_partials[index];
+    }
+    if (adder < adders) {
+        rows[2 * adder] = sum.x;
+        rows[2 * adder + 1] = sum.y;
+    }
+    barrier();
+    if (adder == 0) {
+        for (uint k = 1; k < adders; ++k) {
+            sum += vec2(rows[2 * k], rows[2 * k + 1]);
+        }
+        sum *= mean_scale();
+        losses[loss_row] = vec4(weight * total_loss(sum, lambda_dssim), sum, 0.0);
+    }
+}
+
 void finish(vec3 windowed, uvec2 pixel, uint channel) {
     if (pixel.x < image_width && pixel.y < image_height) {
-        float scale = weight * (1.0 / (3.0 * float(image_width) * float(image_height)));
+        float scale = weight * mean_scale();
         uint index = pixel.y * image_width + pixel.x;
         vec2 value = rendered_and_photo(index, channel);
         float gradient = loss_gradient(windowed, value, scale, lambda_dssim);
@@ -61,6 +94,9 @@ void finish(vec3 windowed, uvec2 pixel, uint channel) {
 }
 
 void main() {
+    if (partials > 0 && gl_WorkGroupID == uvec3(0)) {
+        add_partials();
+    }
     uint channel = first_channel + gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);

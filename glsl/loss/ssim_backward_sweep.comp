@@ -4,7 +4,7 @@
 // invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing shared
 // in, strips: rendered, photo, see ssim_columns.glsl, derivatives as ssim_forward_sweep.comp writes them; out, strips:
 //     image_gradient, a plane for each channel, undefined below the picture
-// One additional workgroup adds the `partials` of the forward pass like loss_reduce.comp, which saves a dispatch.
+// One additional workgroup adds the `partials` of the forward pass like ssim_backward.comp.
 // shared: none; any subgroup size; reads texels, writes columns
 #version 460
 #extension GL_EXT_scalar_block_layout : require

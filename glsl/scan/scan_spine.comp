@@ -6,7 +6,8 @@
 // out, with ARGUMENTS, where `totals` is the state of a frame: totals[total_index + 1] = min(total, capacity), or 0 if the sums
 //      wrapped around and are invalid; totals[STATE_OVERFLOW] is set if that is less than the total; arguments[3]: workgroups
 //      for blocks of `block_elementwise`, `block_sort` and `caller_block` elements (the caller is the scan for the visible
-//      Gaussians, the duplication for the instances)
+//      Gaussians, the duplication for the instances). The first count of a frame, that of the visible Gaussians, clears the rest
+//      of the state.
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -39,6 +40,8 @@ layout(push_constant, scalar) uniform Push {
     uint block_sort;
     uint caller_block;
     uint max_workgroups_per_axis;
+    // If it is not 0, STATE_OVERFLOW is not cleared.
+    uint keeps_overflow;
 };
 
 #include "constants.glsl"
@@ -49,6 +52,11 @@ void write_arguments(uint total) {
     bool wrapped = total == 0xFFFFFFFF;
     uint elements = wrapped ? 0 : min(total, capacity);
     totals[total_index + 1] = elements;
+    for (uint word = STATE_FIRST_SCENE_VISIBLE; word < STATE_WORDS && total_index == STATE_VISIBLE_NEEDED; ++word) {
+        if (word != STATE_OVERFLOW || keeps_overflow == 0) {
+            totals[word] = 0;
+        }
+    }
     if (wrapped || total > capacity) {
         totals[STATE_OVERFLOW] = 1;
     }

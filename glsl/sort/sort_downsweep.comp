@@ -6,7 +6,7 @@
 // 17 µs, and 44 µs without that.
 //
 // invocation: ITEMS keys; subgroup: a run of SUBGROUP_SIZE * ITEMS keys; workgroup: one block
-// in: keys[n], values[n], histogram (exclusive within a digit), digit_totals; out: sorted_keys[n], sorted_values[n]
+// in: keys[n], values[n], histogram (sort_rows.glsl); out: sorted_keys[n], sorted_values[n]
 // shared: one word per key of the block, or per subgroup and digit if those are more; one per digit; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -17,6 +17,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 
+#define SORT_ROWS
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
@@ -30,9 +31,8 @@ layout(set = 0, binding = 0, scalar) readonly buffer Counts { uint counts[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Keys { uint keys[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer Values { uint values[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer Histogram { uint histogram[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer DigitTotals { uint digit_totals[]; };
-layout(set = 0, binding = 5, scalar) writeonly buffer SortedKeys { uint sorted_keys[]; };
-layout(set = 0, binding = 6, scalar) writeonly buffer SortedValues { uint sorted_values[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer SortedKeys { uint sorted_keys[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer SortedValues { uint sorted_values[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count_index;
@@ -42,6 +42,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "dispatch.glsl"
 #include "match_key.glsl"
+#include "sort_rows.glsl"
 #include "workgroup_scan.glsl"
 
 const uint BLOCK = WORKGROUP_SIZE * ITEMS;
@@ -115,12 +116,14 @@ void main() {
         }
         uint total;
         uint block_total;
-        uint output_start = carry + workgroup_exclusive_add(valid ? digit_totals[valid ? digit : 0] : 0, total);
+        uint keys_of_all = valid && block < blocks ? histogram[valid && block < blocks ? total_row(blocks) * digits + digit : 0] : 0;
+        uint output_start = carry + workgroup_exclusive_add(keys_of_all, total);
         uint start = block_carry + workgroup_exclusive_add(count, block_total);
         carry += total;
         block_carry += block_total;
         if (valid && block < blocks) {
-            digit_offsets[digit] = output_start + histogram[digit * blocks + block] - start;
+            uint earlier = histogram[group_row(blocks, block) * digits + digit] + histogram[block * digits + digit];
+            digit_offsets[digit] = output_start + earlier - start;
             for (uint run = 0; run < SUBGROUPS; ++run) {
                 uint of_run = scratch[run * SORT_BINS + digit];
                 scratch[run * SORT_BINS + digit] = start;

@@ -2,8 +2,9 @@
 
 use crate::arithmetic::POISON;
 use crate::lockstep::{Problem, Subgroup};
-use crate::memory::Words;
-use crate::program::{Kind, Program};
+use crate::memory::{Arrivals, Words};
+use crate::program::{Kind, Memory, Program};
+use std::cell::Cell;
 use std::fmt;
 
 /// Order of workgroups, and of a workgroup's subgroups between barriers.
@@ -101,9 +102,10 @@ impl Program {
             }
         };
         let accepts = dispatch.accepts_unwritten_shared;
-        let mut memories: Vec<Words> =
-            self.memories.iter().map(|memory| Words::new(memory, words(memory.kind), accepts)).collect();
         let [x, y, z] = dispatch.workgroups;
+        let arrivals: Arrivals = vec![Cell::new(0); (x * y * z) as usize].into();
+        let memory = |memory: &Memory| Words::new(memory, words(memory.kind), accepts, arrivals.clone());
+        let mut memories: Vec<Words> = self.memories.iter().map(memory).collect();
         let count = self.workgroup_size.iter().product::<u32>() / self.lanes as u32;
         let mut subgroups: Vec<Subgroup> = (0..count).map(|number| Subgroup::new(self, number)).collect();
         for workgroup in dispatch.order.of(x * y * z, 0) {

@@ -2,6 +2,8 @@
 
 use crate::arithmetic::POISON;
 use crate::program::{Kind, Memory};
+use std::cell::Cell;
+use std::rc::Rc;
 
 /// An access: its invocation, and its time in numbers of barriers.
 #[derive(Clone, Copy, Default)]
@@ -56,6 +58,10 @@ impl Touched {
     }
 }
 
+/// Per workgroup: number of its barriers for buffers before its last atomic access to one. What it did before them is ordered
+/// before other workgroups that made such an access and have passed a barrier since. No check compares the words.
+pub(crate) type Arrivals = Rc<[Cell<u32>]>;
+
 pub(crate) struct Words {
     pub(crate) name: String,
     pub(crate) words: Vec<u32>,
@@ -63,10 +69,11 @@ pub(crate) struct Words {
     touched: Vec<Touched>,
     pub(crate) is_shared: bool,
     accepts_unwritten: bool,
+    arrivals: Arrivals,
 }
 
 impl Words {
-    pub(crate) fn new(memory: &Memory, words: Vec<u32>, accepts_unwritten: bool) -> Self {
+    pub(crate) fn new(memory: &Memory, words: Vec<u32>, accepts_unwritten: bool, arrivals: Arrivals) -> Self {
         let is_writable = matches!(memory.kind, Kind::Shared { .. } | Kind::Buffer { writable: true, .. });
         Self {
             name: memory.name.clone(),
@@ -74,6 +81,7 @@ impl Words {
             words,
             is_shared: matches!(memory.kind, Kind::Shared { .. }),
             accepts_unwritten,
+            arrivals,
         }
     }
 
@@ -83,6 +91,11 @@ impl Words {
             self.words.fill(POISON);
             self.touched.fill(Touched::default());
         }
+    }
+
+    fn races(&self, now: &Moment, earlier: &Moment) -> bool {
+        let [own, other] = [now, earlier].map(|moment| self.arrivals[moment.workgroup as usize].get());
+        now.races(earlier) && !(now.barriers > own && own > 0 && earlier.barriers < other)
     }
 
     fn check(&self, place: u64, what: &str) -> Result<usize, String> {
@@ -106,7 +119,7 @@ impl Words {
         if let Some(touched) = self.touched.get_mut(place) {
             let writer = touched.writer;
             touched.read(now);
-            if now.races(&writer) {
+            if self.races(&now, &writer) {
                 return Err(self.race(place, "reads", (&writer, "has written")));
             }
             if self.is_shared && writer.subgroup == 0 && !self.accepts_unwritten {
@@ -125,10 +138,10 @@ impl Words {
         touched.writer = now;
         // Writing the same value affects no other access.
         if self.words[place] != word {
-            if now.races(&writer) {
+            if self.races(&now, &writer) {
                 return Err(self.race(place, "writes", (&writer, "has written")));
             }
-            if let Some(reader) = readers.iter().find(|reader| now.races(reader)) {
+            if let Some(reader) = readers.iter().find(|reader| self.races(&now, reader)) {
                 return Err(self.race(place, "writes", (reader, "has read")));
             }
         }
@@ -144,6 +157,9 @@ impl Words {
         new: impl Fn(u32) -> u32,
     ) -> Result<u32, String> {
         let now = Moment { is_atomic: true, ..now };
+        if !self.is_shared {
+            self.arrivals[now.workgroup as usize].set(now.barriers);
+        }
         let old = self.load(place, now)?;
         self.store(place, new(old), now)?;
         Ok(old)

@@ -1,16 +1,15 @@
-//! The kernels of `forward/` that list visible Gaussians and tiles, against their twins: `forward/compact`,
-//! `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles`, `forward/ranges` and
-//! `backward/hide_tiles`.
+//! The kernels of `forward/` that list visible Gaussians and tiles, against their twins: `forward/compact`, `forward/count`,
+//! `forward/duplicate_with_tiles`, `forward/ranges` and `backward/hide_tiles`.
 
 use crate::common::frame::{Projected, shuffled, state, touched_at_most, visible_scene};
 use crate::common::prelude::*;
 use crate::reference::lists::{self as twin, LISTED, is_listed, tiles_met};
-use crate::reference::scan::{scan_reduce, scan_spine};
+use crate::reference::scan::{scan_apply, scan_reduce, scan_spine};
 use crate::reference::tiles::{touched, touches_by_pixels};
 use ashsplat::kernels::backward::hide_tiles;
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::STATE_FIRST_SCENE_VISIBLE;
-use ashsplat::kernels::forward::{compact, count, duplicate_with_tiles, ranges, write_visible_ranges};
+use ashsplat::kernels::forward::{compact, count, duplicate_with_tiles, ranges};
 use ashsplat::passes::loss::{NativeLayout, photo_on_device};
 use std::ops::Range;
 
@@ -36,10 +35,14 @@ pub fn compact_equals_its_twin() {
                 block_offsets: &gpu.buffer("block_offsets", &offsets),
                 visible_list: &list,
                 visible_index: &places,
+                state: &state(&gpu, [total, capacity, 0]),
+                visible_ranges: &gpu.untouched::<[u32; 4]>("visible_ranges", 2),
+                scene_blocks: &gpu.buffer("scene_blocks", &scene_blocks(&[CameraBlock::default()])),
             };
-            let push = compact::Push { count: size as u32, capacity: capacity as u32 };
+            let [count, capacity] = [size as u32, capacity as u32];
+            let push = compact::Push { count, capacity, scenes: 0, max_workgroups_per_axis: 7 };
             gpu.dispatch::<compact::Interface>(&spec, &bind, &push, size.div_ceil(block) as u64 + 1);
-            let (expected_list, expected_places) = twin::compact(&flags, capacity);
+            let (expected_list, expected_places) = twin::compact(&flags, capacity as usize);
             gpu.assert_values(&list, &expected_list, &format!("size {size} of {capacity}"));
             gpu.assert_values(&places, &expected_places, &format!("size {size} of {capacity}"));
         }
@@ -51,7 +54,8 @@ const BLOCK: u32 = 64;
 
 /// A frame of `blocks` blocks; each scene has its own blocks and a number of blocks per range.
 fn check_visible_ranges(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize)], most: u32) {
-    let spec = write_visible_ranges::Spec { workgroup_size: gpu.workgroup(64) };
+    let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
+    let spec = compact::Spec { workgroup_size, subgroup_size, block: BLOCK };
     let mut random = Random::new(blocks as u64);
     let mut offsets: Vec<u32> = (0..blocks).map(|_| random.below(most)).collect();
     let visible = scan_spine(&mut offsets);
@@ -65,19 +69,18 @@ fn check_visible_ranges(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize
     let table = scene_blocks(&table.collect::<Vec<_>>());
     let state = state(gpu, [visible as usize, visible as usize, 0]);
     let visible_ranges = gpu.untouched::<[u32; 4]>("visible_ranges", 2 * blocks + 1);
-    let bind = write_visible_ranges::Bind {
-        state: &state,
+    let count = blocks as u32 * BLOCK;
+    let bind = compact::Bind {
+        visible_flags: &gpu.buffer("visible_flags", &vec![0; count as usize]),
         block_offsets: &gpu.buffer("block_offsets", &offsets),
+        visible_list: &gpu.untouched::<u32>("visible_list", 1),
+        visible_index: &gpu.untouched::<u32>("visible_index", count as usize),
+        state: &state,
         visible_ranges: &visible_ranges,
         scene_blocks: &gpu.buffer("scene_blocks", &table),
     };
-    let push = write_visible_ranges::Push {
-        scenes: scenes.len() as u32,
-        blocks: blocks as u32,
-        block_elementwise: BLOCK,
-        max_workgroups_per_axis: 7,
-    };
-    gpu.dispatch_over::<write_visible_ranges::Interface>(&spec, &bind, &push, scenes.len());
+    let push = compact::Push { count, capacity: 0, scenes: scenes.len() as u32, max_workgroups_per_axis: 7 };
+    gpu.dispatch_over::<compact::Interface>(&spec, &bind, &push, scenes.len());
     let (first_scene, blocks_per_range) = &scenes[0];
     let last = twin::visible_ranges(&offsets, visible, first_scene.clone(), *blocks_per_range).pop();
     let first_scene_visible = gpu.read_state(&state, STATE_FIRST_SCENE_VISIBLE);
@@ -98,7 +101,7 @@ fn check_visible_ranges(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize
 }
 
 #[test]
-fn write_visible_ranges_equals_its_twin() {
+fn compact_writes_the_ranges_of_all_scenes() {
     let gpu = Gpu::new();
     // One scene, alone and among others.
     let alone =
@@ -131,22 +134,23 @@ pub fn count_equals_its_twin() {
         let order = shuffled(size);
         let (counts, [heads, rows]) = in_order(&order, &lists);
         let sums = scan_reduce(&counts, block);
-        let [tiles_touched, list_heads, list_rows] =
-            ["tiles_touched", "list_heads", "list_rows"].map(|name| gpu.untouched::<u32>(name, size + 2));
+        let before = scan_apply(&counts, &vec![0; sums.len()], block);
+        let [block_instances, list_heads, list_rows] =
+            ["block_instances", "list_heads", "list_rows"].map(|name| gpu.untouched::<u32>(name, size + 2));
         let block_sums = gpu.untouched::<u32>("block_sums", sums.len() + 1);
         let bind = count::Bind {
             state: &state(&gpu, [size, size, 0]),
             order: &gpu.buffer("order", &order),
             tile_lists: &gpu.buffer("tile_lists", &lists),
-            tiles_touched: &tiles_touched,
             list_heads: &list_heads,
             list_rows: &list_rows,
+            block_instances: &block_instances,
             block_sums: &block_sums,
         };
         let push = count::Push::default();
         gpu.dispatch::<count::Interface>(&spec, &bind, &push, (size / block) as u64 + 1);
         for (buffer, expected) in
-            [(tiles_touched, counts), (list_heads, heads), (list_rows, rows), (block_sums, sums)]
+            [(block_instances, before), (list_heads, heads), (list_rows, rows), (block_sums, sums)]
         {
             gpu.assert_values(&buffer, &expected, &format!("size {size}"));
         }
@@ -178,10 +182,12 @@ fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expande
         items: 4,
         for_backward: true,
         lenses: false,
+        scan_block: 32,
     };
     let lists = gpu.read::<[u32; 2]>(&frame.tile_lists, frame.expected.len());
     let (counts, [heads, rows]) = in_order(order, &lists);
-    let mut offsets = counts.clone();
+    let mut offsets = scan_reduce(&counts, 32);
+    let before = scan_apply(&counts, &vec![0; offsets.len()], 32);
     let instances = scan_spine(&mut offsets) as usize;
     let [tiles, visible] =
         ["instance_tiles", "instance_visible"].map(|name| gpu.untouched::<u32>(name, instances + 2));
@@ -189,7 +195,8 @@ fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expande
     let bind = duplicate_with_tiles::Bind {
         state: &state(gpu, [size, size, instances]),
         order: &gpu.buffer("order", order),
-        instance_offsets: &gpu.buffer("instance_offsets", &offsets),
+        block_instances: &gpu.buffer("block_instances", &before),
+        block_offsets: &gpu.buffer("block_offsets", &offsets),
         mean2d_extent: &frame.mean2d_extent,
         footprints: &frame.footprints,
         list_heads: &gpu.buffer("list_heads", &heads),

@@ -130,6 +130,7 @@ pub fn scan_spine_writes_the_arguments_of_its_total() {
             block_sort: 1024,
             caller_block: 256,
             max_workgroups_per_axis: limit,
+            keeps_overflow: 0,
         };
         gpu.dispatch::<scan_spine::Interface>(&spine(&gpu, 1, true), &bind, &push, 1);
         let (elements, overflow) = clamp(needed, capacity);
@@ -142,6 +143,36 @@ pub fn scan_spine_writes_the_arguments_of_its_total() {
             assert_eq!(argument[..3], expected, "{needed} of {capacity}, {block}");
         }
         assert_eq!([arguments[0], arguments[4], arguments[5]], [[UNTOUCHED; 4]; 3]);
+    }
+}
+
+/// The first count of a frame clears what the last frame has counted.
+#[test]
+fn scan_spine_clears_the_state() {
+    let gpu = Gpu::new();
+    for (keeps_overflow, capacity) in [(0, 9), (1, 9), (0, 1)] {
+        let state = gpu.buffer("state", &[8; STATE_WORDS as usize]);
+        let bind = scan_spine::Bind {
+            block_sums: &gpu.buffer("block_sums", &[2, 3]),
+            totals: &state,
+            arguments: &gpu.untouched::<[u32; 4]>("arguments", 3),
+        };
+        let push = scan_spine::Push {
+            count: 2,
+            block_size: 1,
+            capacity,
+            block_elementwise: 64,
+            block_sort: 64,
+            caller_block: 64,
+            max_workgroups_per_axis: 9,
+            keeps_overflow,
+            ..scan_spine::Push::default()
+        };
+        gpu.dispatch::<scan_spine::Interface>(&spine(&gpu, 1, true), &bind, &push, 1);
+        let mut words = [0; STATE_WORDS as usize];
+        (words[0], words[1]) = (5, 5.min(capacity));
+        words[STATE_OVERFLOW as usize] = if capacity < 5 { 1 } else { 8 * keeps_overflow };
+        assert_eq!(gpu.read::<u32>(&state, words.len()), words, "{keeps_overflow}, {capacity}");
     }
 }
 

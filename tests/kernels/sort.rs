@@ -4,6 +4,7 @@
 use super::scan::random_words;
 use crate::common::prelude::*;
 use crate::reference::sort as twin;
+use ashsplat::kernels::constants::{SORT_GROUP_BLOCKS, SORT_GROUPS};
 use ashsplat::kernels::sort::{sort_downsweep, sort_spine, sort_upsweep};
 
 /// All keys equal; two keys alternating; two keys in halves.
@@ -24,53 +25,71 @@ pub fn sort_upsweep_equals_its_twin() {
 
 /// Key counts around multiples of a block, random keys, all digits.
 pub fn check_upsweep(gpu: &Gpu, spec: sort_upsweep::Spec) {
+    let sizes = sizes((spec.workgroup_size * spec.items) as usize);
+    sizes
+        .into_iter()
+        .for_each(|size| DIGITS.into_iter().for_each(|digit| check_rows(gpu, spec, size, digit)));
+}
+
+fn check_rows(gpu: &Gpu, spec: sort_upsweep::Spec, size: usize, [shift, bits]: [u32; 2]) {
     let block = (spec.workgroup_size * spec.items) as usize;
-    for (size, [shift, bits]) in sizes(block).into_iter().flat_map(|size| DIGITS.map(|digit| (size, digit))) {
-        let keys = random_words(size);
-        let blocks = size.div_ceil(block);
-        let histogram = gpu.untouched::<u32>("histogram", (blocks << bits) + 2);
-        let bind = sort_upsweep::Bind {
-            counts: &gpu.buffer("counts", &[0, size as u32]),
-            keys: &gpu.buffer("keys", &keys),
-            histogram: &histogram,
-        };
-        let push = sort_upsweep::Push { count_index: 1, shift, bits };
-        gpu.dispatch::<sort_upsweep::Interface>(&spec, &bind, &push, blocks as u64 + 1);
-        let expected = twin::sort_upsweep(&keys, shift, bits, block);
-        gpu.assert_values(&histogram, &expected, &format!("size {size}, {bits} bits at {shift}"));
+    let (keys, blocks) = (random_words(size), size.div_ceil(block));
+    let expected = twin::sort_upsweep(&keys, shift, bits, block, per_group(blocks));
+    let histogram = gpu.untouched::<u32>("histogram", expected.len() + 2);
+    let zeros = [0; SORT_GROUPS as usize + 1];
+    let arrivals = gpu.buffer("arrivals", &zeros);
+    let bind = sort_upsweep::Bind {
+        counts: &gpu.buffer("counts", &[0, size as u32]),
+        keys: &gpu.buffer("keys", &keys),
+        histogram: &histogram,
+        arrivals: &arrivals,
+    };
+    let push = sort_upsweep::Push { count_index: 1, shift, bits };
+    gpu.dispatch::<sort_upsweep::Interface>(&spec, &bind, &push, blocks as u64 + 1);
+    gpu.assert_values(&histogram, &expected, &format!("size {size}, {bits} bits at {shift}"));
+    assert_eq!(gpu.read::<u32>(&arrivals, zeros.len()), zeros);
+}
+
+/// Blocks of a group (sort_rows.glsl).
+fn per_group(blocks: usize) -> usize {
+    blocks.div_ceil(SORT_GROUPS as usize).max(SORT_GROUP_BLOCKS as usize)
+}
+
+/// Some groups, and so many blocks that the groups have more of them.
+#[test]
+fn sort_upsweep_of_many_groups() {
+    let gpu = Gpu::new();
+    let spec = sort_upsweep::Spec { workgroup_size: gpu.workgroup(64), items: 1 };
+    for blocks in [16, 17, 40, 1024, 1025, 1500] {
+        check_rows(&gpu, spec, (blocks * spec.workgroup_size) as usize - 3, [3, 4]);
     }
 }
 
 #[test]
 pub fn sort_spine_equals_its_twin() {
     let gpu = Gpu::new();
-    for whole_rows in [false, true] {
-        let spec =
-            sort_spine::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), whole_rows };
-        let block_size = 8;
-        // The last workgroup has more rows than there are digits.
-        let digits = 21;
-        let rows = if whole_rows { 1 } else { spec.workgroup_size / spec.subgroup_size };
-        let workgroups = u64::from(digits as u32 / rows + 1);
-        // Sizes around one round of either form.
-        let round = spec.workgroup_size as usize;
-        for blocks in [sizes(round), sizes(4 * round)].concat() {
-            let mut random = Random::new(blocks as u64);
-            let mut rows: Vec<u32> = (0..blocks * digits).map(|_| random.below(1000)).collect();
-            let keys = if blocks == 0 { 0 } else { blocks as u32 * block_size - 3 };
-            let histogram = gpu.buffer("histogram", &[rows.as_slice(), &[UNTOUCHED; 4]].concat());
-            let totals = gpu.untouched::<u32>("digit_totals", digits + 1);
-            let bind = sort_spine::Bind {
-                counts: &gpu.buffer("counts", &[keys]),
-                histogram: &histogram,
-                digit_totals: &totals,
-            };
-            let push = sort_spine::Push { count_index: 0, block_size, digits: digits as u32 };
-            gpu.dispatch::<sort_spine::Interface>(&spec, &bind, &push, workgroups);
-            let expected_totals = twin::sort_spine(&mut rows, blocks, digits);
-            gpu.assert_values(&histogram, &rows, &format!("{blocks} blocks"));
-            gpu.assert_values(&totals, &expected_totals, &format!("{blocks} blocks"));
-        }
+    let spec = sort_spine::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    let block_size = 8;
+    // The last workgroup has more rows than there are digits.
+    let digits = 21;
+    let rows = spec.workgroup_size / spec.subgroup_size;
+    let workgroups = u64::from(digits as u32 / rows + 1);
+    for blocks in sizes(spec.subgroup_size as usize) {
+        let mut random = Random::new(blocks as u64);
+        let mut rows: Vec<u32> = (0..blocks * digits).map(|_| random.below(1000)).collect();
+        let keys = if blocks == 0 { 0 } else { blocks as u32 * block_size - 3 };
+        let histogram = gpu.buffer("histogram", &[rows.as_slice(), &[UNTOUCHED; 4]].concat());
+        let totals = gpu.untouched::<u32>("digit_totals", digits + 1);
+        let bind = sort_spine::Bind {
+            counts: &gpu.buffer("counts", &[keys]),
+            histogram: &histogram,
+            digit_totals: &totals,
+        };
+        let push = sort_spine::Push { count_index: 0, block_size, digits: digits as u32 };
+        gpu.dispatch::<sort_spine::Interface>(&spec, &bind, &push, workgroups);
+        let expected_totals = twin::sort_spine(&mut rows, blocks, digits);
+        gpu.assert_values(&histogram, &rows, &format!("{blocks} blocks"));
+        gpu.assert_values(&totals, &expected_totals, &format!("{blocks} blocks"));
     }
 }
 
@@ -98,11 +117,11 @@ impl<'a> Pairs<'a> {
         [gpu.buffer(names[0], &padded(self.keys)), gpu.buffer(names[1], &values)]
     }
 
-    /// Histogram of a digit's places in blocks, and the digits' totals, before the keys are scattered.
-    fn histogram(&self, gpu: &Gpu, [shift, bits]: [u32; 2], block: usize) -> [Buffer; 2] {
-        let mut histogram = twin::sort_upsweep(self.keys, shift, bits, block);
-        let totals = twin::sort_spine(&mut histogram, self.keys.len().div_ceil(block), 1 << bits);
-        [gpu.buffer("histogram", &histogram), gpu.buffer("digit_totals", &totals)]
+    /// Histogram before the keys are scattered.
+    fn histogram(&self, gpu: &Gpu, [shift, bits]: [u32; 2], block: usize) -> Buffer {
+        let per_group = per_group(self.keys.len().div_ceil(block));
+        let rows = twin::sort_upsweep(self.keys, shift, bits, block, per_group);
+        gpu.buffer("histogram", if rows.is_empty() { &[UNTOUCHED] } else { &rows })
     }
 
     fn check_scattered(&self, gpu: &Gpu, [keys, values]: [&Buffer; 2], digit: [u32; 2], case: &str) {
@@ -127,7 +146,7 @@ fn check_downsweep(gpu: &Gpu, spec: sort_downsweep::Spec, keys: &[u32], [shift, 
     let block = (spec.workgroup_size * spec.items) as usize;
     let blocks = size.div_ceil(block);
     let pairs = Pairs::new(keys, spec.identity_values);
-    let [histogram, digit_totals] = pairs.histogram(gpu, [shift, bits], block);
+    let histogram = pairs.histogram(gpu, [shift, bits], block);
     let [input, values] = pairs.upload(gpu, ["keys", "values"]);
     let [sorted_keys, sorted_values] =
         ["sorted_keys", "sorted_values"].map(|name| gpu.untouched::<u32>(name, size + 2));
@@ -136,7 +155,6 @@ fn check_downsweep(gpu: &Gpu, spec: sort_downsweep::Spec, keys: &[u32], [shift, 
         keys: &input,
         values: &values,
         histogram: &histogram,
-        digit_totals: &digit_totals,
         sorted_keys: &sorted_keys,
         sorted_values: &sorted_values,
     };

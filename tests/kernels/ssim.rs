@@ -1,11 +1,11 @@
 //! The photometric loss by blocks and by sweeps against its twins: `loss/ssim_forward`, `loss/ssim_forward_sweep`,
-//! `loss/ssim_backward`, `loss/ssim_backward_sweep` and `loss/loss_reduce`; and the whole loss by the engine.
+//! `loss/ssim_backward`, and `loss/ssim_backward_sweep`; and the whole loss by the engine.
 
 use crate::common::prelude::*;
-use crate::reference::loss_reduce::LAMBDA_DSSIM;
+use crate::reference::loss::LAMBDA_DSSIM;
 use crate::reference::ssim::{Plane, SsimPlane, ssim_backward, ssim_forward};
 use ashsplat::frame::Strips;
-use ashsplat::kernels::loss::{self as kernels, loss_reduce};
+use ashsplat::kernels::loss as kernels;
 use ashsplat::passes::loss::{Loss, LossInputs, NativeLayout, PhotoFormat, photo_on_device};
 
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
@@ -253,6 +253,9 @@ fn backward(
                 photo,
                 derivatives,
                 image_gradient: &image_gradient,
+                // Unused without partial sums.
+                loss_partials: derivatives,
+                losses: &image_gradient,
             };
             let push = kernels::ssim_backward::Push {
                 image_width,
@@ -261,6 +264,8 @@ fn backward(
                 first_channel,
                 lambda_dssim,
                 weight: WEIGHT,
+                partials: 0,
+                loss_row: 0,
             };
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
@@ -403,32 +408,49 @@ fn ssim_backward_sweep_equals_its_twin() {
     check_all(true, check_backward);
 }
 
-/// Reduces partial sums into row 1 of 3.
-fn reduced(gpu: &Gpu, partials: &Buffer, count: usize, scale: f64) -> [f64; 3] {
-    let spec = loss_reduce::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+/// Adds partial sums into row 1 of 3, beside the gradient of a single pixel.
+fn added(gpu: &Gpu, partials: &Buffer, count: usize) -> [f64; 3] {
+    let workgroup_size = gpu.workgroup(64);
+    let spec = kernels::ssim_backward::Spec { workgroup_size, strip: 4, float_photo: false, masked: false };
     let losses = gpu.untouched::<[f32; 4]>("losses", 3);
-    let bind = loss_reduce::Bind { loss_partials: partials, losses: &losses };
-    let (scale, lambda_dssim) = (scale as f32, LAMBDA_DSSIM as f32);
-    let push = loss_reduce::Push { partials: count as u32, loss_row: 1, scale, lambda_dssim, weight: WEIGHT };
-    gpu.dispatch::<loss_reduce::Interface>(&spec, &bind, &push, 1);
+    let bind = kernels::ssim_backward::Bind {
+        accumulated: &gpu.buffer("accumulated", &[[0.5_f32; 4]]),
+        photo: &gpu.buffer("photo", &[0_u32]),
+        derivatives: &gpu.buffer("derivatives", &[[0.0_f32; 3]; 3]),
+        image_gradient: &gpu.untouched::<f32>("image_gradient", 4),
+        loss_partials: partials,
+        losses: &losses,
+    };
+    let push = kernels::ssim_backward::Push {
+        image_width: 1,
+        image_height: 1,
+        background: [0.0; 3],
+        first_channel: 0,
+        lambda_dssim: LAMBDA_DSSIM as f32,
+        weight: WEIGHT,
+        partials: count as u32,
+        loss_row: 1,
+    };
+    let kernel = gpu.kernel::<kernels::ssim_backward::Interface>(&spec);
+    gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, [1, 1, 3]));
     let all = gpu.read::<[f32; 4]>(&losses, 3);
     assert!([all[0], all[2]].as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED));
     [0, 1, 2].map(|k| f64::from(all[1][k]))
 }
 
 #[test]
-pub fn loss_reduce_equals_its_twin() {
+fn ssim_backward_adds_the_loss() {
     let gpu = Gpu::new();
-    for size in sizes(gpu.workgroup(64) as usize) {
+    for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
         let mut random = Random::new(size as u64);
-        let values: Vec<[f32; 2]> =
-            (0..size).map(|_| [random.unit() as f32 * 20.0, random.unit() as f32 * 90.0]).collect();
+        // Sums of the magnitude of one pixel's.
+        let mut part = || random.unit() as f32 / size as f32;
+        let values: Vec<[f32; 2]> = (0..size).map(|_| [part(), part()]).collect();
         let partials = gpu.buffer("loss_partials", &values);
-        let scale = 1.0 / (256.0 * size.max(1) as f64);
-        let [l1, ssim] = [0, 1].map(|k| values.iter().map(|v| f64::from(v[k])).sum::<f64>() * scale);
+        let [l1, ssim] = [0, 1].map(|k| values.iter().map(|v| f64::from(v[k])).sum::<f64>() / 3.0);
         let loss = f64::from(WEIGHT) * ((1.0 - LAMBDA_DSSIM) * l1 + LAMBDA_DSSIM * (1.0 - ssim));
         let expected = [loss, l1, ssim];
-        elementwise("loss", &reduced(&gpu, &partials, size, scale), &expected, 1e-6, 2e-6).expect("losses");
+        elementwise("loss", &added(&gpu, &partials, size), &expected, 1e-6, 2e-6).expect("losses");
     }
 }
 

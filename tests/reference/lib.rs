@@ -22,7 +22,7 @@ pub mod gather;
 pub mod inverse_depth_l1;
 pub mod linear;
 pub mod lists;
-pub mod loss_reduce;
+pub mod loss;
 pub mod lpips;
 pub mod nearest_depths;
 pub mod pipeline;

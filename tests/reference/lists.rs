@@ -1,6 +1,6 @@
 //! Lists of visible Gaussians and of tiles: the twins of `forward/compact`, of the arguments that `scan/scan_spine` writes, of
-//! `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles` and `forward/ranges`. Lists of tiles are
-//! those of `glsl/include/tile_list.glsl`.
+//! `forward/count`, `forward/duplicate_with_tiles` and `forward/ranges`. Lists of tiles are those of
+//! `glsl/include/tile_list.glsl`.
 
 use super::tiles;
 use super::types::{Splat, View};

@@ -21,14 +21,27 @@ pub fn digit(key: u32, shift: u32, bits: u32) -> usize {
     ((key >> shift) & ((1 << bits) - 1)) as usize
 }
 
-/// histogram[digit · blocks + block].
-pub fn sort_upsweep(keys: &[u32], shift: u32, bits: u32, block: usize) -> Vec<u32> {
-    let blocks = keys.len().div_ceil(block);
-    let mut histogram = vec![0; blocks << bits];
+/// Rows of numbers of keys by digit: per block, in the earlier blocks of its group of `per_group` blocks; per group, in earlier
+/// groups; in all. Empty without keys.
+pub fn sort_upsweep(keys: &[u32], shift: u32, bits: u32, block: usize, per_group: usize) -> Vec<u32> {
+    let mut blocks = vec![vec![0; 1 << bits]; keys.len().div_ceil(block)];
     for (place, &key) in keys.iter().enumerate() {
-        histogram[digit(key, shift, bits) * blocks + place / block] += 1;
+        blocks[place / block][digit(key, shift, bits)] += 1;
     }
-    histogram
+    let mut groups: Vec<Vec<u32>> = blocks.chunks_mut(per_group).map(scan_rows).collect();
+    let all = if groups.is_empty() { Vec::new() } else { scan_rows(&mut groups) };
+    [blocks, groups, vec![all]].concat().concat()
+}
+
+/// Replaces rows by the sums of those before, and returns the sums of all.
+fn scan_rows(rows: &mut [Vec<u32>]) -> Vec<u32> {
+    let mut sums = vec![0; rows[0].len()];
+    for row in rows {
+        for (sum, keys) in sums.iter_mut().zip(row) {
+            (*sum, *keys) = (*sum + *keys, *sum);
+        }
+    }
+    sums
 }
 
 /// Exclusive prefix sum of each digit's row of the histogram, in place; returns each digit's total.

@@ -5,6 +5,7 @@ use super::schema::{CopyBandwidth, Run, Workload};
 use super::synthetic;
 use super::traffic::Traffic;
 use super::workload::Fnv;
+use ashsplat::frame::SORT_ARRIVAL_BYTES;
 use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
 use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 use ashsplat::vk::{Buffer, Context, MemoryKind};
@@ -86,10 +87,12 @@ pub fn sort(job: &Job) -> Result<Run> {
         ("histogram", histogram),
         ("digit_totals", sort.digit_total_words() * 4),
         ("unsorted", words),
+        ("arrivals", SORT_ARRIVAL_BYTES),
     ];
     let b = job.buffers(&requests)?;
     upload(job.context, &b[0], &[job.elements, 0, 0, 0])?;
     upload(job.context, &b[7], &keys)?;
+    upload(job.context, &b[8], &[0; SORT_ARRIVAL_BYTES as usize / 4])?;
     let buffers = SortBuffers {
         counts: &b[0],
         count_index: 0,
@@ -97,6 +100,7 @@ pub fn sort(job: &Job) -> Result<Run> {
         values: [&b[3], &b[4]],
         histogram: &b[5],
         digit_totals: &b[6],
+        arrivals: &b[8],
     };
     let elements = Workgroups::Elements(job.elements.into());
     let prepare = || {

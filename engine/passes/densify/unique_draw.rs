@@ -3,7 +3,7 @@
 //! depend on scheduling.
 
 use crate::error::Result;
-use crate::frame::{LaunchSizes, SceneBuffers, buffer_set};
+use crate::frame::{LaunchSizes, SORT_ARRIVAL_BYTES, SceneBuffers, buffer_set};
 use crate::kernels::constants as c;
 use crate::kernels::densify::{draw_keys, mark_drawn, opacity_keys};
 use crate::passes::scan::Workgroups;
@@ -68,6 +68,8 @@ buffer_set! {
     histogram as "unique_draw_histogram": sizes.sort_histogram_words(gaussians.into(), u32::BITS) * 4;
     /// Sorting scratch: keys per digit.
     digit_totals as "unique_draw_digit_totals": (1 << sizes.sort_digit_bits()) * 4;
+    /// Sorting scratch: zeros.
+    arrivals as "unique_draw_arrivals": SORT_ARRIVAL_BYTES;
 }
 
 impl UniqueDrawBuffers {
@@ -85,6 +87,7 @@ impl UniqueDrawBuffers {
             values: [&self.gaussians_a, &self.gaussians_b],
             histogram: &self.histogram,
             digit_totals: &self.digit_totals,
+            arrivals: &self.arrivals,
         }
     }
 }
@@ -119,6 +122,7 @@ impl UniqueDraw {
         let groups = self.sizes.groups(count);
         r.scope("select", |r| {
             r.fill(&buffers.total(c::TOTAL_GAUSSIANS), count);
+            r.fill(&buffers.arrivals, 0);
             r.fill(&buffers.totals.range(u64::from(c::TOTAL_CANDIDATES) * 4, 3 * 4), 0);
             r.barrier();
             let (chances, importance) = match chances {
@@ -167,6 +171,7 @@ impl UniqueDraw {
     ) -> &'a Buffer {
         r.scope("order opacities", |r| {
             r.fill(&buffers.total(c::TOTAL_GAUSSIANS), scene.count);
+            r.fill(&buffers.arrivals, 0);
             scene.record_chunks(r, |r, range, parameters| {
                 let bind = opacity_keys::Bind { parameters, keys: &buffers.keys_a };
                 let push = opacity_keys::Push { first: range.first, count: range.count };

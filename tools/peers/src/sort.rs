@@ -2,6 +2,7 @@
 
 use crate::measure;
 use crate::measure::{Result, Run};
+use ashsplat::frame::SORT_ARRIVAL_BYTES;
 use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind};
 use std::num::NonZeroU32;
@@ -90,10 +91,12 @@ impl Ours {
             ("digit totals", 4 * sort.digit_total_words()),
             ("unsorted keys", words),
             ("unsorted values", words),
+            ("arrivals", SORT_ARRIVAL_BYTES),
         ];
         let buffers = context.allocate("sort", &requests, MemoryKind::Device)?;
         context.upload(&buffers[0], bytemuck::cast_slice(&[pairs, 0, 0, 0]))?;
         context.upload(&buffers[7], bytemuck::cast_slice(keys))?;
+        context.upload(&buffers[9], &[0; SORT_ARRIVAL_BYTES as usize])?;
         let values: Vec<u32> = (0..pairs).collect();
         context.upload(&buffers[8], bytemuck::cast_slice(&values))?;
         Ok(Self { context, sort, buffers, pairs })
@@ -112,6 +115,7 @@ impl Ours {
             values: [&b[3], &b[4]],
             histogram: &b[5],
             digit_totals: &b[6],
+            arrivals: &b[9],
         };
         let elements = ashsplat::passes::scan::Workgroups::Elements((*pairs).into());
         measure::time(|| {

@@ -1,4 +1,4 @@
-//! The loss as one number, the twin of `loss/loss_reduce`.
+//! The loss as one number.
 
 use super::ssim::{Plane, ssim_backward, ssim_forward};
 
