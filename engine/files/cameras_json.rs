@@ -128,11 +128,12 @@ impl Entry {
     }
 }
 
-/// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
-/// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for other cameras than
-/// pinholes `"projection"` ([`Projection::name`]) and a lens's `"coefficients"`, and a [`Shutter`] as `"shutter"`. The cameras are in the world coordinates
-/// of `frame`. Positions are written in source units from the frame's origin, as in the PLY beside. `"origin"` and
-/// `"unit"` name a frame other than the default.
+/// Writes cameras, which are in the world coordinates of `frame`, in the reference implementation's form: id, img_name,
+/// width, height, position and rotation (camera to world, rows), fy, fx. Positions are in source units from the frame's
+/// origin, as in the PLY beside.
+///
+/// The reference's readers ignore the other keys: cx and cy; `"projection"` ([`Projection::name`]) of cameras that are no
+/// pinholes; `"coefficients"` of a lens; `"shutter"` ([`Shutter`]); `"origin"` and `"unit"` of a frame other than the default.
 pub fn write<'a>(
     path: impl AsRef<Path>,
     cameras: impl IntoIterator<Item = (&'a str, &'a Camera)>,

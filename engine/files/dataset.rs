@@ -94,9 +94,8 @@ impl Dataset {
     /// or a ZIP of one. The photos are decoded in parallel.
     ///
     /// # Errors
-    /// [`Error::Input`](ashsplat::Error::Input) for the first problem of cameras or photos, for no registered images and
-    /// for no training views left by the split; [`Error::TooLarge`](ashsplat::Error::TooLarge) when the photos do not fit into
-    /// [`DatasetOptions::host_memory`]; [`Error::Interrupted`](ashsplat::Error::Interrupted).
+    /// [`Error::Input`] for the first problem of cameras or photos, for no registered images and for no training views left by
+    /// the split; [`Error::TooLarge`] when the photos do not fit into [`DatasetOptions::host_memory`]; [`Error::Interrupted`].
     pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         Gallery::open(path, options, progress)?.load(progress)
     }

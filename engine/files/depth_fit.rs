@@ -41,8 +41,8 @@ pub struct ObservedPoint {
 }
 
 impl DepthFit {
-    /// Fits a map to its photo's points: medians and mean absolute deviations agree. `camera_size`: of the photo's camera.
-    /// The flag is true if the map's values fall as points come nearer: it then holds depths.
+    /// Fits a map to its photo's points, so that medians and mean absolute deviations agree. `camera_size` is that of the
+    /// points' pixels. The flag is true if the map's values fall as points come nearer: it then holds depths.
     pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[ObservedPoint]) -> (Self, bool) {
         let ratio = f64::from(map.height) / f64::from(camera_size.1.max(1));
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);

@@ -393,7 +393,7 @@ fn missing_properties(path: &Path, element: &Element, has_rgb: bool) -> Error {
     Error::input(path, problem, "is it a file of Gaussians?")
 }
 
-/// Writes Gaussians in the layout of the reference implementation; `filters`: the sizes of Mip-Splatting's 3D filter,
+/// Writes Gaussians in the layout of the reference implementation. `filters` holds the sizes of Mip-Splatting's 3D filter,
 /// source units.
 pub(crate) fn write_blocks(
     path: &Path,

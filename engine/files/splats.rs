@@ -4,8 +4,8 @@
 //! Reading and writing proceed block by block, so that a conversion needs little memory if the formats allow
 //! it. Compressed PLY and SOG are sorted, so they are written from memory.
 //!
-//! A format is a file here: `open` returns the header and what produces the Gaussians ([`Opened`]), `write` takes an
-//! [`Outline`] and what produces them.
+//! Each format is a file here. Its `open` returns the header and a call that produces the Gaussians; its `write` takes such a
+//! call.
 
 mod codebook;
 mod dot_splat;
@@ -190,7 +190,7 @@ pub struct ConvertOptions {
     pub decimate: Option<Target>,
     /// The output's format; `None` for that of its extension.
     pub format: Option<Format>,
-    /// See [`super::WriteOptions::spz_version`].
+    /// See [`WriteOptions::spz_version`].
     pub spz_version: Option<u32>,
 }
 

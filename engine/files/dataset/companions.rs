@@ -59,7 +59,7 @@ impl Plan {
             other.map_or(Ok(()), |other| Err(shared("mask", mask, [&other, &view.name])))
         });
         let used: HashSet<&Path> = photos.keys().chain(masks.keys()).map(PathBuf::as_path).collect();
-        self.tell_of_masks(&images, &folders, &used);
+        self.note_masks(&images, &folders, &used);
         for folder in unused_folders(dataset, &folders, !masks.is_empty()) {
             let pictures = pictures_below(&folder).len();
             if pictures > 0 && !used.iter().any(|file| file.starts_with(&folder)) {
@@ -70,11 +70,11 @@ impl Plan {
             }
         }
         if options.depths.is_none() {
-            self.tell_of_depths(dataset, &names, &mut finder);
+            self.note_depth_maps(dataset, &names, &mut finder);
         }
     }
 
-    fn tell_of_masks(&mut self, images: &Path, folders: &[PathBuf], used: &HashSet<&Path>) {
+    fn note_masks(&mut self, images: &Path, folders: &[PathBuf], used: &HashSet<&Path>) {
         let all = self.views.len();
         let masks: Vec<&Path> = self.views.iter().filter_map(|view| view.mask_path.as_deref()).collect();
         if let Some(folder) = masks.first().and_then(|mask| mask.parent()) {
@@ -104,7 +104,7 @@ impl Plan {
     }
 
     /// Notes depth maps that are present but unused: only `-d` uses them.
-    fn tell_of_depths(&mut self, dataset: &Path, names: &[PathBuf], finder: &mut Finder) {
+    fn note_depth_maps(&mut self, dataset: &Path, names: &[PathBuf], finder: &mut Finder) {
         if self.named_depth_maps > 0 {
             let (list, count) = (self.list.display(), self.named_depth_maps);
             self.notes.push(format!(

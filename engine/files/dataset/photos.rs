@@ -143,12 +143,12 @@ pub(super) fn turned(
     // For a photo whose metadata ask for a rotation: what its size tells, if anything.
     let reported = |index: usize| -> Option<Option<bool>> {
         let header = headers[index].filter(PhotoHeader::has_orientation)?;
-        Some(photos[index].1.and_then(|sides| told_by(header, sides)))
+        Some(photos[index].1.and_then(|sides| rotation_by_size(header, sides)))
     };
     let all = || (0..photos.len()).filter_map(reported);
     let [stored, turned] = [false, true].map(|turned| all().any(|reported| reported == Some(turned)));
     let decides = stored != turned || choice != PhotoOrientation::Auto;
-    let untold = if decides { 0 } else { all().filter(Option::is_none).count() };
+    let undecided = if decides { 0 } else { all().filter(Option::is_none).count() };
     let is_turned = |index: usize| match choice {
         PhotoOrientation::Stored => false,
         PhotoOrientation::Upright => reported(index).is_some(),
@@ -160,16 +160,16 @@ pub(super) fn turned(
         let turned = is_turned(index);
         (turned, header.map(|header| header.size(turned)))
     };
-    (headers.iter().enumerate().map(photo).collect(), untold)
+    (headers.iter().enumerate().map(photo).collect(), undecided)
 }
 
 /// A warning if no size decides the rotation of some photos.
-pub(super) fn untold_rotation(list: &Path, untold: usize) -> Option<String> {
+pub(super) fn unknown_rotation(list: &Path, undecided: usize) -> Option<String> {
     let list = list.display();
-    let photos = match untold {
+    let photos = match undecided {
         0 => return None,
         1 => "1 photo is".to_owned(),
-        untold => format!("{untold} photos are"),
+        undecided => format!("{undecided} photos are"),
     };
     Some(format!(
         "{list}: {photos} to be turned by their metadata (Exif), and no size of a camera tells whether that was done \
@@ -179,7 +179,7 @@ pub(super) fn untold_rotation(list: &Path, untold: usize) -> Option<String> {
 }
 
 /// True if a camera has the size of the rotated photo; `None` if its sides fit both.
-fn told_by(header: PhotoHeader, [width, height]: Sides) -> Option<bool> {
+fn rotation_by_size(header: PhotoHeader, [width, height]: Sides) -> Option<bool> {
     let (stored_width, stored_height) = header.size(false);
     let tells = header.lies_on_its_side() && stored_width != stored_height && width != height;
     tells.then_some((width > height) != (stored_width > stored_height))

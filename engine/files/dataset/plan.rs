@@ -127,7 +127,7 @@ impl Plan {
     }
 
     /// Names files that other programs use and ashsplat does not.
-    fn tell_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
+    fn warn_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
         let there = |names: &[&str]| -> Vec<String> {
             let folders = [dataset, &self.source];
             let files = folders.iter().flat_map(|folder| names.iter().map(move |name| folder.join(name)));
@@ -147,7 +147,7 @@ impl Plan {
     }
 
     /// Names point files that are not read, if the data set has no other points.
-    fn tell_of_points(&mut self, dataset: &Path) {
+    fn warn_of_unread_points(&mut self, dataset: &Path) {
         const ENDINGS: [&str; 8] = ["las", "laz", "e57", "pts", "ptx", "xyz", "pcd", "ply"];
         // Beside a transforms.json, any PLY is used or named already.
         let endings = if self.source == self.list { &ENDINGS[..7] } else { &ENDINGS[..] };
@@ -365,12 +365,12 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     plan.warnings.extend(unused);
     plan.find_companions(path, options);
     if points.is_empty() {
-        plan.tell_of_points(path);
+        plan.warn_of_unread_points(path);
     }
     plan.turn_upright(options.level, &mut points);
     plan.settle_frame(options.frame, points);
     plan.settle_split(options);
-    plan.tell_of_unused_files(path, options);
+    plan.warn_of_unused_files(path, options);
     plan.warn_of_strays();
     plan.warn_of_lenses();
     plan.warn_of_points_out_of_view();
@@ -384,7 +384,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
         plan.notes.push("all cameras are pinholes: --undistort changes nothing".into());
     }
     plan.notes.extend(note.or_else(|| notes::scaling_note(&sizes, options.resolution)));
-    plan.tell_of_shutters();
+    plan.note_shutters();
     Ok(plan)
 }
 
@@ -449,12 +449,12 @@ impl Plan {
             })
         };
         let names = images.iter().map(|image| image.name.as_str());
-        plan.tell_of_photos_without_camera(photos::in_folder(path, &folder, names), path, &folder);
+        plan.warn_of_photos_without_camera(photos::in_folder(path, &folder, names), path, &folder);
         images.into_iter().zip(paths).zip(photos).map(view).for_each(|view| plan.add(view));
         Ok(plan)
     }
 
-    fn tell_of_shutters(&mut self) {
+    fn note_shutters(&mut self) {
         let (all, list) = (self.views.len(), self.list.display());
         let rolling = self.views.iter().filter(|view| view.shutter.is_some());
         let (count, bent) =
@@ -471,7 +471,7 @@ impl Plan {
         }
     }
 
-    fn tell_of_photos_without_camera(&mut self, photos: Vec<PathBuf>, dataset: &Path, folder: &Path) {
+    fn warn_of_photos_without_camera(&mut self, photos: Vec<PathBuf>, dataset: &Path, folder: &Path) {
         let registered = self.registered;
         let stems: HashSet<PathBuf> = photos.iter().map(|photo| photo.with_extension("")).collect();
         let (alike, photos) = (photos.len() - stems.len(), stems.len());
@@ -563,8 +563,8 @@ impl Plan {
             return Err(Error::argument("images", problem));
         }
         let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
-        let (photos, untold) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
-        plan.warnings.extend(photos::untold_rotation(&plan.list, untold));
+        let (photos, undecided) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
+        plan.warnings.extend(photos::unknown_rotation(&plan.list, undecided));
         let mut lenses = UsedLenses::new(options);
         for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {
             let view = plan.frame(frame, photo_path, photo, &mut lenses).map(|view| PlannedView {
@@ -581,7 +581,7 @@ impl Plan {
         plan.distorted = notes::distorted_lenses(&plan.list, lenses.known.values().map(|(lens, _)| lens));
         if !plan.has_split && frames.iter().all(|frame| frame.name.starts_with("images/")) {
             let folder = path.join(&options.images);
-            plan.tell_of_photos_without_camera(photos_below(&folder), path, &folder);
+            plan.warn_of_photos_without_camera(photos_below(&folder), path, &folder);
         }
         Ok(plan)
     }

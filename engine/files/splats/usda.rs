@@ -349,7 +349,7 @@ impl<'a> Parser<'a> {
 
     fn prims(mut self) -> Option<Vec<Prim<'a>>> {
         let mut prims = vec![Prim::default()];
-        // Those around the current place.
+        // Indices of the prims around the current place, the innermost last.
         let mut open = vec![0];
         let mut name = "";
         while let Some(token) = self.next() {
