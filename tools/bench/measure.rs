@@ -257,7 +257,7 @@ pub fn commands(iteration: &Iteration) -> impl Iterator<Item = &ashsplat::vk::Co
 }
 
 fn key(command: &ashsplat::vk::CommandRecord) -> (&str, &str) {
-    (&command.scope, command.name)
+    (command.scope, command.name)
 }
 
 /// Best rates of the device, measured in the same run.

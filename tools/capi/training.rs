@@ -397,7 +397,7 @@ unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
         let known = |&[x, y, inverse_z]: &[f32; 3]| DepthPoint { position_px: [x, y], inverse_z };
         Ok(TrainView {
             camera,
-            photo: photo.into(),
+            photo,
             camera_id: view.camera_id,
             inverse_depth: slice_if(view.inverse_depth, pixels, "inverse_depth")?.map(Into::into),
             depth_points: points.map(|points| points.as_chunks().0.iter().map(known).collect()),

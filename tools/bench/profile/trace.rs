@@ -73,7 +73,7 @@ fn host_events(events: &mut Vec<Value>, origin: Instant, s: &Submission) {
 fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow: u32) {
     let (Some(begun), Some(whole)) = (s.device_begun, s.nanoseconds) else { return };
     let begun = at(origin, begun);
-    let mut submission = span(&s.label, "submission", DEVICE, (begun, whole * 1e-3));
+    let mut submission = span(s.label, "submission", DEVICE, (begun, whole * 1e-3));
     submission["args"] = json!({ "commands": s.commands.len() });
     events.push(submission);
     // An arrow from the host's submission to the device's begin.
@@ -87,7 +87,7 @@ fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow:
         };
         if !stage[0].scope.is_empty() {
             let end = last + duration;
-            events.push(span(&stage[0].scope, "stage", DEVICE, (begun + begin * 1e-3, (end - begin) * 1e-3)));
+            events.push(span(stage[0].scope, "stage", DEVICE, (begun + begin * 1e-3, (end - begin) * 1e-3)));
         }
         for command in stage {
             let Some((begin, duration)) = times(command) else { continue };

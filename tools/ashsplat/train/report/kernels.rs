@@ -103,7 +103,7 @@ impl KernelTimes {
         let n = f64::from(self.timed.max(1));
         let row = |(kernel, us): &(&Kernel, f64)| {
             vec![
-                Cell::Name(shown(&kernel.stage).to_owned()),
+                Cell::Name(shown(kernel.stage).to_owned()),
                 Cell::Name(kernel.name.to_owned()),
                 Cell::number(f64::from(kernel.calls) / n, 1),
                 Cell::number(*us, 1),
