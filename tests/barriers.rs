@@ -69,6 +69,7 @@ impl Training {
             pictures: PictureCapacity::of(SIZE[0], SIZE[1]),
             blend_passes: 2,
             backward: true,
+            camera_sums: true,
             depth: true,
             ..FrameCapacity::default()
         };

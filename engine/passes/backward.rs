@@ -219,6 +219,9 @@ impl Backward {
     /// [`LayoutConverter::record_gradient`](crate::passes::pixels::LayoutConverter::record_gradient) converts it from rows, which are the same
     /// on all devices. Without inverse depth, the caller may pass `inputs.buffers.image_gradient`. `form` must have been prepared.
     ///
+    /// # Panics
+    /// If `form` asks for the gradient of a camera, and the frame has no sums for it.
+    ///
     /// [`Strips`]: crate::frame::Strips
     pub fn record(
         &self,
@@ -229,6 +232,10 @@ impl Backward {
         form: BackwardForm,
     ) {
         let sums = inputs.buffers.camera_sums(inputs.capacity);
+        assert!(
+            inputs.capacity.camera_sums || !(form.pose || form.lens),
+            "the frame has sums for its camera"
+        );
         if form.lens {
             // Blocks without a visible Gaussian write no sum.
             let first = 12 * u64::from(first_lens_sum(inputs.capacity));

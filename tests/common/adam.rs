@@ -2,7 +2,7 @@
 
 use super::engine;
 use super::gpu::Gpu;
-use super::layout::{pack, planes as planes_of, room, unpack};
+use super::layout::{pack, plane_capacity, planes as planes_of, unpack};
 use crate::reference::types::Gaussian;
 use ashsplat::frame::{SceneBuffers, ScenePlan, planes};
 use ashsplat::kernels::blocks::CameraBlock;
@@ -63,7 +63,7 @@ pub struct AdamState<'a> {
     kernel: Kernel<adam::Interface>,
     count: usize,
     coefficients: usize,
-    pub room: usize,
+    pub capacity: usize,
     pub parameters: Buffer,
     pub moments: [Buffer; 2],
     /// The parameters as a scene, if SH coefficients are halves.
@@ -76,8 +76,8 @@ impl<'a> AdamState<'a> {
     /// Uploads Gaussians with zero moments.
     pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());
-        let room = room(count);
-        let zeros = || gpu.zeros::<[f32; 4]>("moments", planes_of(coefficients) * room);
+        let capacity = plane_capacity(count);
+        let zeros = || gpu.zeros::<[f32; 4]>("moments", planes_of(coefficients) * capacity);
         let spec = adam::Spec {
             workgroup_size: gpu.workgroup(64),
             sh_degree,
@@ -96,8 +96,8 @@ impl<'a> AdamState<'a> {
             steps: Cell::new(0),
             count,
             coefficients,
-            room,
-            parameters: gpu.buffer("parameters", &pack(gaussians, room)),
+            capacity,
+            parameters: gpu.buffer("parameters", &pack(gaussians, capacity)),
             moments: [zeros(), zeros()],
             halves: None,
         }
@@ -129,7 +129,7 @@ impl<'a> AdamState<'a> {
     /// Keeps SH coefficients in halves, rounded to the nearest at first.
     pub fn halves(self) -> AdamState<'a> {
         let (context, gaussians) = (&self.gpu.context, engine::gaussians(&self.gaussians()));
-        let plan = ScenePlan::new(context.limits(), self.room as u32, gaussians.sh_degree, true);
+        let plan = ScenePlan::new(context.limits(), self.capacity as u32, gaussians.sh_degree, true);
         let scene =
             planes::upload_planned(context, "scene", MemoryKind::Device, &gaussians, plan.expect("a plan"))
                 .expect("a scene");
@@ -146,8 +146,8 @@ impl<'a> AdamState<'a> {
     /// Adds gradients with respect to the parameters themselves: `direct`'s means, quaternions, scales and
     /// opacities.
     pub fn with_parameter_gradients(self, direct: &[Gaussian]) -> AdamState<'a> {
-        let mut planes = pack(direct, self.room);
-        planes.truncate(PLANE_SH as usize * self.room);
+        let mut planes = pack(direct, self.capacity);
+        planes.truncate(PLANE_SH as usize * self.capacity);
         let spec = adam::Spec { parameter_gradients: true, ..self.spec };
         let parameter_gradients = Some(self.gpu.buffer("parameter_gradients", &planes));
         AdamState { spec, kernel: self.gpu.kernel(&spec), parameter_gradients, ..self }
@@ -201,7 +201,7 @@ impl<'a> AdamState<'a> {
             },
             first: 0,
             count: self.count as u32,
-            chunk_gaussians: self.room as u32,
+            chunk_gaussians: self.capacity as u32,
             gradient_stride: self.count as u32 + 1,
             beta_1: beta_1 as f32,
             beta_2: beta_2 as f32,
@@ -255,8 +255,8 @@ impl<'a> AdamState<'a> {
     /// Parameters, first and second moments.
     pub fn download(&self) -> [Vec<Gaussian>; 3] {
         [&self.parameters, &self.moments[0], &self.moments[1]].map(|buffer| {
-            let words = self.gpu.read::<[f32; 4]>(buffer, planes_of(self.coefficients) * self.room);
-            unpack(&words, self.room, self.count, self.coefficients)
+            let words = self.gpu.read::<[f32; 4]>(buffer, planes_of(self.coefficients) * self.capacity);
+            unpack(&words, self.capacity, self.count, self.coefficients)
         })
     }
 }

@@ -2,7 +2,8 @@
 
 use super::gpu::{Gpu, UNTOUCHED};
 use super::layout::{
-    SplatPlanes, antialias_word, camera_block, extent_word, pack_filtered, pack_splats, room, rounded,
+    SplatPlanes, antialias_word, camera_block, extent_word, pack_filtered, pack_splats, plane_capacity,
+    rounded,
 };
 use super::scenes::{Random, mixed_scene};
 use crate::reference::blend::samples;
@@ -84,8 +85,8 @@ impl Projected {
         // Culling applies the dropout.
         let visible: Vec<u32> =
             (0..gaussians.len() as u32).filter(|&i| shared_order || splats[i as usize].is_some()).collect();
-        let (room, count) = (room(gaussians.len()), visible.len());
-        let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, room, view.filter_3d));
+        let (capacity, count) = (plane_capacity(gaussians.len()), visible.len());
+        let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, capacity, view.filter_3d));
         // Two entries at the front belong to another range.
         let list = gpu.buffer("visible_list", &[&[UNTOUCHED; 2], visible.as_slice()].concat());
         let ranges = gpu.buffer("visible_ranges", &[[0; 4], [2, 2 + count as u32, 0, 0]]);
@@ -109,7 +110,7 @@ impl Projected {
         };
         let push = project::Push {
             first: 0,
-            chunk_gaussians: room as u32,
+            chunk_gaussians: capacity as u32,
             extent: extent_word(view),
             antialias: antialias_word(view),
             splat_stride: 1,

@@ -1,7 +1,7 @@
 //! Runs single kernels: uploads and reads buffers, and checks that validation stays silent.
 
 use super::compare::equal;
-use super::layout::{pack, planes, room, unpack};
+use super::layout::{pack, plane_capacity, planes, unpack};
 use super::machine::{self, Machine};
 use super::{assert_silent, context, options};
 use crate::reference::types::Gaussian;
@@ -136,13 +136,13 @@ impl Gpu {
 
     /// Creates the planes of Gaussians, with a few unused places behind them.
     pub fn gaussians(&self, name: &'static str, gaussians: &[Gaussian]) -> Buffer {
-        self.buffer(name, &pack(gaussians, room(gaussians.len())))
+        self.buffer(name, &pack(gaussians, plane_capacity(gaussians.len())))
     }
 
     /// Reads Gaussians from planes as those of [`Self::gaussians`].
     pub fn read_gaussians(&self, buffer: &Buffer, count: usize, coefficients: usize) -> Vec<Gaussian> {
-        let room = room(count);
-        unpack(&self.read::<[f32; 4]>(buffer, planes(coefficients) * room), room, count, coefficients)
+        let capacity = plane_capacity(count);
+        unpack(&self.read::<[f32; 4]>(buffer, planes(coefficients) * capacity), capacity, count, coefficients)
     }
 
     /// Creates a frame's state from some of its words; the others are 0.

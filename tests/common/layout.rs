@@ -14,18 +14,18 @@ pub fn planes(coefficients: usize) -> usize {
 }
 
 /// Capacity of the planes for `count` Gaussians and a few more.
-pub fn room(count: usize) -> usize {
+pub fn plane_capacity(count: usize) -> usize {
     (count + 3).next_multiple_of(256)
 }
 
 /// Index of a Gaussian in plane `plane`. Geometry and each SH degree lie apart, in rows of eight Gaussians.
-pub fn place(plane: u32, index: usize, room: usize) -> usize {
-    let [first, planes, own] = plane_place(plane, room).map(|part| part as usize);
+pub fn place(plane: u32, index: usize, capacity: usize) -> usize {
+    let [first, planes, own] = plane_place(plane, capacity).map(|part| part as usize);
     first + (index / 8 * planes + own) * 8 + index % 8
 }
 
 /// First index of the planes stored together with `plane`, their number, and its number among them.
-pub fn plane_place(plane: u32, room: usize) -> [u32; 3] {
+pub fn plane_place(plane: u32, capacity: usize) -> [u32; 3] {
     let (first, planes) = match plane {
         0..3 => (0, 3),
         3 => (3, 1),
@@ -34,13 +34,13 @@ pub fn plane_place(plane: u32, room: usize) -> [u32; 3] {
         10..15 => (10, 5),
         _ => panic!("no Gaussian has a plane {plane}"),
     };
-    [first * room as u32, planes, plane - first]
+    [first * capacity as u32, planes, plane - first]
 }
 
-pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
+pub fn pack(gaussians: &[Gaussian], capacity: usize) -> Vec<[f32; 4]> {
     let coefficients = gaussians.first().map_or(16, |g| g.sh.len());
-    let mut packed = vec![[0.0; 4]; planes(coefficients) * room];
-    let at = |plane: u32, i: usize| place(plane, i, room);
+    let mut packed = vec![[0.0; 4]; planes(coefficients) * capacity];
+    let at = |plane: u32, i: usize| place(plane, i, capacity);
     for (i, gaussian) in gaussians.iter().enumerate() {
         let f = |x: f64| x as f32;
         let [x, y, z] = gaussian.mean.map(f);
@@ -56,9 +56,9 @@ pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
 }
 
 /// Same as [`pack`], but all Gaussians have a 3D filter of this size; 0 for none.
-pub fn pack_filtered(gaussians: &[Gaussian], room: usize, size: f64) -> Vec<[f32; 4]> {
-    let mut packed = pack(gaussians, room);
-    (0..gaussians.len()).for_each(|i| packed[place(PLANE_LOG_SCALE, i, room)][3] = size as f32);
+pub fn pack_filtered(gaussians: &[Gaussian], capacity: usize, size: f64) -> Vec<[f32; 4]> {
+    let mut packed = pack(gaussians, capacity);
+    (0..gaussians.len()).for_each(|i| packed[place(PLANE_LOG_SCALE, i, capacity)][3] = size as f32);
     packed
 }
 
@@ -68,9 +68,9 @@ pub fn antialias_word(view: &View) -> u32 {
 }
 
 /// The inverse of [`pack`].
-pub fn unpack(packed: &[[f32; 4]], room: usize, count: usize, coefficients: usize) -> Vec<Gaussian> {
+pub fn unpack(packed: &[[f32; 4]], capacity: usize, count: usize, coefficients: usize) -> Vec<Gaussian> {
     let f = |x: f32| f64::from(x);
-    let at = |plane: u32, i: usize| packed[place(plane, i, room)];
+    let at = |plane: u32, i: usize| packed[place(plane, i, capacity)];
     (0..count)
         .map(|i| {
             let [x, y, z, opacity_logit] = at(PLANE_MEAN_OPACITY, i).map(f);

@@ -13,7 +13,7 @@ pub use super::engine::{camera, gaussians, loaded, renderer, widen};
 pub use super::gpu::{Gpu, UNTOUCHED, sizes};
 pub use super::layout::{
     antialias_word, camera_block, cut_outs, depth_of_key, extent_word, pack, pack_filtered, pack_splats,
-    place, plane_place, planes, room, scene_blocks, unpack,
+    place, plane_capacity, plane_place, planes, scene_blocks, unpack,
 };
 pub use super::scenes::*;
 pub use super::training::{EXTENT, Run, Succeeds, refusal, start, through_a_file, view_of, views};

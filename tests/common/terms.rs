@@ -1,7 +1,7 @@
 //! Pictures in the native layout, and the kernels of the loss's terms that several tests run.
 
 use super::gpu::Gpu;
-use super::layout::{pack, room, unpack};
+use super::layout::{pack, plane_capacity, unpack};
 use crate::reference::pixels::strip_index;
 use crate::reference::sparse_depth::Point;
 use crate::reference::types::Gaussian;
@@ -93,9 +93,9 @@ pub fn regularize(gpu: &Gpu, gaussians: &[Gaussian], weights: [f64; 2]) -> ([f64
     let count = gaussians.len();
     let mut gradients = Vec::new();
     for (chunk, part) in [&gaussians[..count / 3], &gaussians[count / 3..]].into_iter().enumerate() {
-        let room = room(part.len());
-        let parameters = gpu.buffer("parameters", &pack(part, room));
-        let planes = PLANE_SH as usize * room;
+        let capacity = plane_capacity(part.len());
+        let parameters = gpu.buffer("parameters", &pack(part, capacity));
+        let planes = PLANE_SH as usize * capacity;
         let d = gpu.zeros::<[f32; 4]>("parameter_gradients", planes);
         let bind = sums::Bind { parameters: &parameters, parameter_gradients: &d, partials: &partials };
         let push = sums::Push {
@@ -107,8 +107,8 @@ pub fn regularize(gpu: &Gpu, gaussians: &[Gaussian], weights: [f64; 2]) -> ([f64
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, TERM_PARTIALS.into()));
         // The result lacks the SH plane.
         let mut planes = gpu.read::<[f32; 4]>(&d, planes);
-        planes.resize(planes.len() + room, [0.0; 4]);
-        gradients.extend(unpack(&planes, room, part.len(), 1));
+        planes.resize(planes.len() + capacity, [0.0; 4]);
+        gradients.extend(unpack(&planes, capacity, part.len(), 1));
     }
     let spec = reduce::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let kernel = gpu.kernel::<reduce::Interface>(&spec);

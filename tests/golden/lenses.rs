@@ -172,8 +172,8 @@ pub fn of_device(path: &Path) -> Outcome {
     };
     let scene: Vec<Gaussian> = shown.iter().map(gaussian).collect();
     let gpu = Gpu::new();
-    let (count, room) = (scene.len(), room(scene.len()));
-    let parameters = gpu.buffer("parameters", &pack(&scene, room));
+    let (count, capacity) = (scene.len(), plane_capacity(scene.len()));
+    let parameters = gpu.buffer("parameters", &pack(&scene, capacity));
     let list: Vec<u32> = (0..count as u32).collect();
     let [visible_list, visible_ranges] = [
         gpu.buffer("visible_list", &list),
@@ -208,7 +208,7 @@ pub fn of_device(path: &Path) -> Outcome {
     let [shutter_turn, shutter_shift, shutter_rows] = camera.shutter_words();
     let push = project::Push {
         first: 0,
-        chunk_gaussians: room as u32,
+        chunk_gaussians: capacity as u32,
         extent: c::EXTENT_EXACT,
         antialias: 0,
         splat_stride: 1,
@@ -304,7 +304,7 @@ pub fn of_device(path: &Path) -> Outcome {
     };
     let push = project_backward::Push {
         first: 0,
-        chunk_gaussians: room as u32,
+        chunk_gaussians: capacity as u32,
         antialias: 0,
         splat_stride: 1,
         gradient_stride: count as u32,

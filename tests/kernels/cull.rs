@@ -59,7 +59,8 @@ fn culled_behind(gpu: &Gpu, view: &View, gaussians: &[Gaussian], earlier: Option
     };
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
     let bind = cull::Bind {
-        parameters: &gpu.buffer("parameters", &pack_filtered(gaussians, room(size), view.filter_3d)),
+        parameters: &gpu
+            .buffer("parameters", &pack_filtered(gaussians, plane_capacity(size), view.filter_3d)),
         visible_flags: &flags,
         block_counts: &counts,
         cut_outs: &gpu.buffer("cut_outs", &words),
@@ -69,7 +70,7 @@ fn culled_behind(gpu: &Gpu, view: &View, gaussians: &[Gaussian], earlier: Option
         first: 0,
         count: size as u32,
         flag_count: end as u32,
-        chunk_gaussians: room(size) as u32,
+        chunk_gaussians: plane_capacity(size) as u32,
         extent: extent_word(view),
         antialias: antialias_word(view),
         first_cut_out,

@@ -257,8 +257,8 @@ impl Rows {
         let (before, after) = (self.gaussians.len(), self.sources.len());
         let sources = gpu.buffer("sources", &self.sources);
         let from = gpu.gaussians("from", &self.gaussians);
-        let (from_room, to_room) = (room(before), room(after) + 256);
-        let words = planes(COEFFICIENTS) * to_room;
+        let (from_rows, to_rows) = (plane_capacity(before), plane_capacity(after) + 256);
+        let words = planes(COEFFICIENTS) * to_rows;
         let to = gpu.untouched::<[f32; 4]>("to", words);
         let bind = gather::Bind { sources: &sources, from: &from, to: &to, noise: noise.unwrap_or(&sources) };
         for plane in 0..planes(COEFFICIENTS) as u32 {
@@ -273,8 +273,8 @@ impl Rows {
                 from_count: before as u32,
                 to_first: 0,
                 to_count: after as u32,
-                from_place: plane_place(plane, from_room),
-                to_place: plane_place(plane, to_room),
+                from_place: plane_place(plane, from_rows),
+                to_place: plane_place(plane, to_rows),
                 form,
                 noise_stride: before as u32,
                 seed: SEED,
@@ -282,7 +282,7 @@ impl Rows {
             };
             gpu.dispatch_over::<gather::Interface>(&spec, &bind, &push, after);
         }
-        unpack(&gpu.read::<[f32; 4]>(&to, words), to_room, after, COEFFICIENTS)
+        unpack(&gpu.read::<[f32; 4]>(&to, words), to_rows, after, COEFFICIENTS)
     }
 
     /// Compares the rows: copies are equal. `expected` makes a child of a Gaussian with its index and number. The
@@ -411,7 +411,7 @@ fn relocate_equals_its_twin() {
         let push = relocate::Push {
             first: FIRST as u32,
             count: size as u32,
-            chunk_gaussians: room(size) as u32,
+            chunk_gaussians: plane_capacity(size) as u32,
             planes: planes(4) as u32,
             packed_moments: 0,
         };
@@ -445,12 +445,12 @@ fn relocation_and_reset_clear_packed_moments() {
     let (gpu, size) = (Gpu::new(), 70);
     let gaussians = mixed_scene(&mut Random::new(1), size, 4);
     let parameters = gpu.gaussians("parameters", &gaussians);
-    let moments = gpu.buffer("moments", &vec![[u32::MAX; 4]; PLANES * room(size)]);
+    let moments = gpu.buffer("moments", &vec![[u32::MAX; 4]; PLANES * plane_capacity(size)]);
     let words_of = |gaussian: usize| {
-        let words = gpu.read::<[u32; 4]>(&moments, PLANES * room(size));
+        let words = gpu.read::<[u32; 4]>(&moments, PLANES * plane_capacity(size));
         let own = |plane: usize| match plane {
-            0..3 => place(plane as u32, gaussian, room(size)),
-            _ => plane * room(size) + gaussian,
+            0..3 => place(plane as u32, gaussian, plane_capacity(size)),
+            _ => plane * plane_capacity(size) + gaussian,
         };
         [0, 1, 2, 3, 4].map(|plane| words[own(plane)])
     };
@@ -474,7 +474,7 @@ fn relocation_and_reset_clear_packed_moments() {
     let push = relocate::Push {
         first: 0,
         count: size as u32,
-        chunk_gaussians: room(size) as u32,
+        chunk_gaussians: plane_capacity(size) as u32,
         planes: PLANES as u32,
         packed_moments: 1,
     };
@@ -541,9 +541,9 @@ fn reset_opacity_equals_its_twin() {
         }
         // Every third of four has no filter.
         let filter = |i: usize| if filters { [0.25, 4.0, 0.0, 0.015625][i % 4] } else { 0.0 };
-        let room = room(size);
-        let mut packed = pack(&gaussians, room);
-        (0..size).for_each(|i| packed[place(PLANE_LOG_SCALE, i, room)][3] = filter(i) as f32);
+        let capacity = plane_capacity(size);
+        let mut packed = pack(&gaussians, capacity);
+        (0..size).for_each(|i| packed[place(PLANE_LOG_SCALE, i, capacity)][3] = filter(i) as f32);
         let [parameters, moments_1, moments_2] =
             ["parameters", "moments_1", "moments_2"].map(|name| gpu.buffer(name, &packed));
         let bind =

@@ -8,9 +8,9 @@ use ashsplat::kernels::forward::{filter_sizes, nearest_depths};
 
 /// Fourth components of the log-scales.
 fn filters(gpu: &Gpu, parameters: &Buffer, count: usize, coefficients: usize) -> Vec<f32> {
-    let room = room(count);
-    let packed = gpu.read::<[f32; 4]>(parameters, planes(coefficients) * room);
-    (0..count).map(|i| packed[place(PLANE_LOG_SCALE, i, room)][3]).collect()
+    let capacity = plane_capacity(count);
+    let packed = gpu.read::<[f32; 4]>(parameters, planes(coefficients) * capacity);
+    (0..count).map(|i| packed[place(PLANE_LOG_SCALE, i, capacity)][3]).collect()
 }
 
 /// Previous content.
@@ -51,7 +51,7 @@ fn bounds(view: &View) -> [f32; 4] {
 fn depths(gpu: &Gpu, gaussians: &[Gaussian], cameras: &[View], overflow: u32) -> (Vec<f32>, f32) {
     let spec = nearest_depths::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let count = gaussians.len();
-    let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, room(count), STALE));
+    let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, plane_capacity(count), STALE));
     let farthest = gpu.buffer("farthest", &[0_u32]);
     let bind = nearest_depths::Bind {
         parameters: &parameters,
@@ -114,9 +114,9 @@ fn filter_sizes_equals_its_twin() {
         // No camera sees every third Gaussian.
         let depth = |i: usize| (i % 3 != 2).then_some(0.25 + (i % 17) as f64);
         let nearest: Vec<Option<f64>> = (0..size).map(depth).collect();
-        let mut packed = pack(&gaussians, room(size));
+        let mut packed = pack(&gaussians, plane_capacity(size));
         for (i, depth) in nearest.iter().enumerate() {
-            packed[place(PLANE_LOG_SCALE, i, room(size))][3] = depth.unwrap_or(0.0) as f32;
+            packed[place(PLANE_LOG_SCALE, i, plane_capacity(size))][3] = depth.unwrap_or(0.0) as f32;
         }
         let farthest = nearest.iter().flatten().copied().fold(0.0, f64::max) as f32;
         let parameters = gpu.buffer("parameters", &packed);

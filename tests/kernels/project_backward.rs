@@ -128,7 +128,8 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
     let subgroups = count.div_ceil(gpu.subgroup() as usize) + 1;
     let pose_sums = gpu.untouched::<[f32; 6]>("pose_sums", subgroups);
     let bind = project_backward::Bind {
-        parameters: &gpu.buffer("parameters", &pack_filtered(&scene.gaussians, room(size), view.filter_3d)),
+        parameters: &gpu
+            .buffer("parameters", &pack_filtered(&scene.gaussians, plane_capacity(size), view.filter_3d)),
         state: &gpu.frame_state(&[(STATE_VISIBLE, count as u32), (STATE_OVERFLOW, modes.overflow.into())]),
         visible_ranges: &gpu.buffer("visible_ranges", &[[0; 4], [0, count as u32, 0, 0]]),
         visible_list: &gpu.buffer("visible_list", &scene.visible),
@@ -146,7 +147,7 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
     };
     let push = project_backward::Push {
         first: 0,
-        chunk_gaussians: room(size) as u32,
+        chunk_gaussians: plane_capacity(size) as u32,
         antialias: antialias_word(view),
         splat_stride: 1,
         gradient_stride: gradient_stride as u32,
@@ -367,8 +368,8 @@ fn check_expanded(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize, s
     let mut random = Random::new(size as u64);
     let gaussians = mixed_scene(&mut random, size, coefficients);
     let rows = GradientRows::random(&mut random, size);
-    let (room, planes) = (room(size), planes(coefficients));
-    let parameter_gradients = gpu.untouched::<[f32; 4]>("parameter_gradients", planes * room);
+    let (capacity, planes) = (plane_capacity(size), planes(coefficients));
+    let parameter_gradients = gpu.untouched::<[f32; 4]>("parameter_gradients", planes * capacity);
     let mean2d = gpu.untouched::<[f32; 2]>("mean2d_gradients", size + 1);
     let bind = expand_gradients::Bind {
         parameters: &gpu.gaussians("parameters", &gaussians),
@@ -384,7 +385,7 @@ fn check_expanded(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize, s
         first: 0,
         count: size as u32,
         gradient_stride: rows.stride as u32,
-        chunk_gaussians: room as u32,
+        chunk_gaussians: capacity as u32,
         planes: planes as u32,
         ..expand_gradients::Push::default()
     };

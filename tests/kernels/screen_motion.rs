@@ -6,7 +6,7 @@ use ashsplat::kernels::forward::screen_motion::{Bind, Interface, Push, Spec};
 /// Motions by the kernel for every second Gaussian of a range that does not begin at 0.
 fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[f32; 2]> {
     let workgroup_size = gpu.workgroup(64);
-    let room = room(gaussians.len());
+    let capacity = plane_capacity(gaussians.len());
     // The range is that of the second culling block.
     let first = workgroup_size;
     let visible: Vec<u32> = (0..gaussians.len() as u32).step_by(2).map(|i| first + i).collect();
@@ -17,7 +17,7 @@ fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[
     let f = |x: f64| x as f32;
     let [previous_row_x, previous_row_y, previous_row_z] = before.camera_from_world.map(|row| row.map(f));
     let bind = Bind {
-        parameters: &gpu.buffer("parameters", &pack(gaussians, room)),
+        parameters: &gpu.buffer("parameters", &pack(gaussians, capacity)),
         visible_ranges: &ranges,
         visible_list: &list,
         motions: &motions,

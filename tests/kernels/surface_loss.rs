@@ -116,15 +116,15 @@ fn surface_alignment_equals_its_twin() {
                 }
             }
         }
-        let (count, room) = (visible.len() as u32, room(gaussians.len()));
+        let (count, capacity) = (visible.len() as u32, plane_capacity(gaussians.len()));
         let planes = pack_splats(&splats);
-        let gradients = gpu.zeros::<[f32; 4]>("parameter_gradients", PLANE_SH as usize * room);
+        let gradients = gpu.zeros::<[f32; 4]>("parameter_gradients", PLANE_SH as usize * capacity);
         let weights = [0.5, 0.25, 0.125];
         let [turn, flatten, approach] = weights.map(|weight| weight as f32);
         gpu.dispatch_over::<surface_alignment::Interface>(
             &surface_alignment::Spec { workgroup_size: gpu.workgroup(64) },
             &surface_alignment::Bind {
-                parameters: &gpu.buffer("parameters", &pack(&gaussians, room)),
+                parameters: &gpu.buffer("parameters", &pack(&gaussians, capacity)),
                 visible_ranges: &gpu.buffer("visible_ranges", &[[0; 4], [0, count, 0, 0]]),
                 visible_list: &gpu.buffer("visible_list", &visible),
                 mean2d_extent: &gpu.buffer("mean2d_extent", &planes.mean2d_extent),
@@ -143,9 +143,9 @@ fn surface_alignment_equals_its_twin() {
             },
             visible.len(),
         );
-        let mut words = gpu.read::<[f32; 4]>(&gradients, PLANE_SH as usize * room);
-        words.resize(words.len() + room, [0.0; 4]);
-        let actual = unpack(&words, room, gaussians.len(), 1);
+        let mut words = gpu.read::<[f32; 4]>(&gradients, PLANE_SH as usize * capacity);
+        words.resize(words.len() + capacity, [0.0; 4]);
+        let actual = unpack(&words, capacity, gaussians.len(), 1);
 
         let depths: Vec<Option<f64>> = depths.iter().map(|&d| (d > 0.0).then_some(f64::from(d))).collect();
         let single = |x: f64| f64::from(x as f32);

@@ -942,7 +942,7 @@ enum AshsplatStatus ashsplat_context_new(const char *device, struct AshsplatCont
 void ashsplat_context_free(struct AshsplatContext *context);
 
 // Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, SOG, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
-// its name's ending select the format. ashsplat_scene_told gives the file's notes.
+// its name's ending select the format. ashsplat_scene_notes gives the file's notes.
 //
 // # Safety
 // `context` is alive, `path` is a C string, `scene` is valid for a write.
@@ -956,7 +956,7 @@ enum AshsplatStatus ashsplat_scene_load(const struct AshsplatContext *context,
 //
 // # Safety
 // `scene` is alive; the pointers are NULL or valid for a write.
-enum AshsplatStatus ashsplat_scene_told(const struct AshsplatScene *scene,
+enum AshsplatStatus ashsplat_scene_notes(const struct AshsplatScene *scene,
                                         bool *antialiased,
                                         const char **warnings);
 
@@ -1641,10 +1641,10 @@ enum AshsplatStatus ashsplat_tree_size(const struct AshsplatTree *tree, uint32_t
 // Writes the description of a tile.
 //
 // # Safety
-// `tree` is alive, `told` begins with its size.
+// `tree` is alive, `properties` begins with its size.
 enum AshsplatStatus ashsplat_tree_tile(const struct AshsplatTree *tree,
                                        uint32_t tile,
-                                       struct AshsplatTile *told);
+                                       struct AshsplatTile *properties);
 
 // The tiles to load for a demand, most urgent first: those that ashsplat_tree_cut would draw, and their ancestors. A tile
 // follows its parent, and comes sooner if its parent's error is larger in pixels. `possible` has a value per tile, false if
@@ -1689,12 +1689,12 @@ enum AshsplatStatus ashsplat_tree_read(const struct AshsplatTree *tree,
 enum AshsplatStatus ashsplat_tile_gaussians(const struct AshsplatTileGaussians *of,
                                             struct AshsplatGaussians *gaussians);
 
-// Notes of a tile's file, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
+// Notes of a tile's file, as ashsplat_scene_notes; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
 // does. Either pointer may be NULL.
 //
 // # Safety
 // `of` is alive; the pointers are NULL or valid for a write.
-enum AshsplatStatus ashsplat_tile_told(const struct AshsplatTileGaussians *of,
+enum AshsplatStatus ashsplat_tile_notes(const struct AshsplatTileGaussians *of,
                                        bool *antialiased,
                                        const char **warnings);
 

@@ -50,26 +50,26 @@ pub struct AshsplatContext(Context);
 pub struct AshsplatScene {
     scene: DeviceScene,
     /// Notes of the scene's file.
-    told: Told,
+    notes: FileNotes,
 }
 
 #[derive(Default)]
-struct Told {
+struct FileNotes {
     antialiased: bool,
     /// One per line.
     warnings: CString,
 }
 
-impl Told {
+impl FileNotes {
     /// Reads the notes of a file.
-    fn of(file: &splats::Scene) -> Told {
+    fn of(file: &splats::Scene) -> FileNotes {
         let kernel =
             |size: f32| format!("it was trained with the kernel size {size}: AshsplatRenderSettings has it");
         let [x, y, z] = file.frame.origin.to_array();
         let origin = ([x, y, z] != [0.0; 3]).then(|| format!("positions are relative to {x},{y},{z}"));
         let warnings: Vec<String> =
             file.warnings.iter().cloned().chain(file.header.kernel_size.map(kernel)).chain(origin).collect();
-        Told { antialiased: file.header.antialiased, warnings: c_text(&warnings.join("\n")) }
+        FileNotes { antialiased: file.header.antialiased, warnings: c_text(&warnings.join("\n")) }
     }
 
     /// # Safety
@@ -86,7 +86,7 @@ impl Told {
 impl AshsplatScene {
     /// A scene without notes.
     fn of(scene: DeviceScene) -> Self {
-        Self { scene, told: Told::default() }
+        Self { scene, notes: FileNotes::default() }
     }
 }
 
@@ -196,7 +196,7 @@ pub unsafe extern "C" fn ashsplat_context_free(context: *mut AshsplatContext) {
 }
 
 /// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, SOG, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
-/// its name's ending select the format. ashsplat_scene_told gives the file's notes.
+/// its name's ending select the format. ashsplat_scene_notes gives the file's notes.
 ///
 /// # Safety
 /// `context` is alive, `path` is a C string, `scene` is valid for a write.
@@ -210,8 +210,8 @@ pub unsafe extern "C" fn ashsplat_scene_load(
         let (context, path) = (borrowed(context, "context")?, text(path, "path")?);
         give(scene, "scene", || {
             let file = splats::read(path, &splats::ReadOptions::default())?;
-            let told = Told::of(&file);
-            Ok(AshsplatScene { scene: DeviceScene::upload(&context.0, &file.gaussians, 0)?, told })
+            let notes = FileNotes::of(&file);
+            Ok(AshsplatScene { scene: DeviceScene::upload(&context.0, &file.gaussians, 0)?, notes })
         })
     })
 }
@@ -223,13 +223,13 @@ pub unsafe extern "C" fn ashsplat_scene_load(
 /// # Safety
 /// `scene` is alive; the pointers are NULL or valid for a write.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_scene_told(
+pub unsafe extern "C" fn ashsplat_scene_notes(
     scene: *const AshsplatScene,
     antialiased: *mut bool,
     warnings: *mut *const c_char,
 ) -> AshsplatStatus {
     guarded!({
-        borrowed(scene, "scene")?.told.tell(antialiased, warnings);
+        borrowed(scene, "scene")?.notes.tell(antialiased, warnings);
         Ok(())
     })
 }

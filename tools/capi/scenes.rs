@@ -372,11 +372,11 @@ pub unsafe extern "C" fn ashsplat_scene_plan(
 ) -> AshsplatStatus {
     guarded!({
         let made = DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree, false)?;
-        let told = same_fields!(made => AshsplatScenePlan { chunks, planes, chunk_gaussians } with {
+        let measures = same_fields!(made => AshsplatScenePlan { chunks, planes, chunk_gaussians } with {
             chunk_bytes: made.chunk_bytes(),
             ..AshsplatScenePlan::default()
         });
-        write(plan, "plan", told)
+        write(plan, "plan", measures)
     })
 }
 

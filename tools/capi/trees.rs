@@ -8,7 +8,7 @@ use ashsplat_files::tiles::{Demand, Tree};
 pub struct AshsplatTree(Tree);
 
 /// The Gaussians of a tile, in the host's memory.
-pub struct AshsplatTileGaussians(Gaussians, Told);
+pub struct AshsplatTileGaussians(Gaussians, FileNotes);
 
 /// A tree's description of a tile.
 #[repr(C)]
@@ -81,12 +81,12 @@ pub unsafe extern "C" fn ashsplat_tree_size(tree: *const AshsplatTree, tiles: *m
 /// Writes the description of a tile.
 ///
 /// # Safety
-/// `tree` is alive, `told` begins with its size.
+/// `tree` is alive, `properties` begins with its size.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_tree_tile(
     tree: *const AshsplatTree,
     tile: u32,
-    told: *mut AshsplatTile,
+    properties: *mut AshsplatTile,
 ) -> AshsplatStatus {
     guarded!({
         let tiles = borrowed(tree, "tree")?.0.tiles();
@@ -99,7 +99,7 @@ pub unsafe extern "C" fn ashsplat_tree_tile(
             max: found.bounds.max.to_array(),
             ..AshsplatTile::default()
         };
-        write(told, "told", known)
+        write(properties, "properties", known)
     })
 }
 
@@ -207,8 +207,8 @@ pub unsafe extern "C" fn ashsplat_tree_read(
         let tree = borrowed(tree, "tree")?;
         give(gaussians, "gaussians", || {
             let read = tree.0.read(tile as usize, &splats::ReadOptions::default())?;
-            let told = Told::of(&read);
-            Ok(AshsplatTileGaussians(read.gaussians, told))
+            let notes = FileNotes::of(&read);
+            Ok(AshsplatTileGaussians(read.gaussians, notes))
         })
     })
 }
@@ -224,7 +224,7 @@ pub unsafe extern "C" fn ashsplat_tile_gaussians(
 ) -> AshsplatStatus {
     guarded!({
         let own = &borrowed(of, "of")?.0;
-        let told = AshsplatGaussians {
+        let arrays = AshsplatGaussians {
             count: own.len() as u32,
             sh_degree: own.sh_degree,
             means: own.means.as_flattened().as_ptr(),
@@ -234,17 +234,17 @@ pub unsafe extern "C" fn ashsplat_tile_gaussians(
             sh: own.sh.as_flattened().as_ptr(),
             ..AshsplatGaussians::default()
         };
-        write(gaussians, "gaussians", told)
+        write(gaussians, "gaussians", arrays)
     })
 }
 
-/// Notes of a tile's file, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
+/// Notes of a tile's file, as ashsplat_scene_notes; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
 /// does. Either pointer may be NULL.
 ///
 /// # Safety
 /// `of` is alive; the pointers are NULL or valid for a write.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_tile_told(
+pub unsafe extern "C" fn ashsplat_tile_notes(
     of: *const AshsplatTileGaussians,
     antialiased: *mut bool,
     warnings: *mut *const c_char,

@@ -502,9 +502,9 @@ static void tiles(char **arguments) {
             prints[next] = print_of(print, gaussians.sh, terms * n);
             bool antialiased = true;
             const char *warnings = NULL;
-            check(ashsplat_tile_told(read, &antialiased, &warnings), "what its file says");
+            check(ashsplat_tile_notes(read, &antialiased, &warnings), "what its file says");
             EXPECT(!antialiased && warnings != NULL && warnings[0] == 0);
-            check(ashsplat_tile_told(read, NULL, NULL), "nothing of it");
+            check(ashsplat_tile_notes(read, NULL, NULL), "nothing of it");
         }
         check(ashsplat_tree_cut(tree, &demand, there, drawn, &drawn_count), "asking what is drawn");
         EXPECT(drawn_count > 0);

@@ -77,7 +77,7 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
         bool antialiased = false;
         const char *warnings = NULL;
         check(ashsplat_scene_load(context, checkpoint, &scene), "loading");
-        check(ashsplat_scene_told(scene, &antialiased, &warnings), "what the file says");
+        check(ashsplat_scene_notes(scene, &antialiased, &warnings), "what the file says");
         EXPECT(antialiased && warnings && !*warnings);
         ashsplat_scene_free(scene);
     }
