@@ -157,7 +157,7 @@ pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'
         Format::Splat => dot_splat::open(path)?,
         Format::Spz => spz::open(path)?,
         Format::Glb | Format::Gltf => gltf::open(path, format, options)?,
-        Format::Sog if streamed_sog::is_lod_meta(&file) => streamed_sog::open(&file, options)?,
+        Format::Sog if format::is_lod_meta(&file) => streamed_sog::open(&file, options)?,
         Format::Sog => sog::open(&file, options)?,
         Format::Usda => usda::open(path, options)?,
         Format::Ksplat => ksplat::open(path)?,

@@ -103,6 +103,7 @@ pub fn write(
         let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
         write_tileset(&folder.join(TILESET_FILE), &root, writer.spill.origin, options.packed)?;
         let mut done = Tiling { levels: root.levels, ..writer.done };
+        done.warnings.extend(Format::Glb.losses(writer.spill.sh_degree, &writer.spill.marks));
         done.warnings.extend(writer.losses.line("tiles"));
         Ok(done)
     })
@@ -133,6 +134,14 @@ fn in_new_folder<T>(folder: &Path, fill: impl FnOnce(&Path) -> Result<T>) -> Res
         Error::input(folder, format!("cannot be written: {e}"), "give a folder that is not there yet")
     })?;
     Ok(filled)
+}
+
+/// An error of a part names the scene, which is the cause: the folder still has its temporary name.
+fn of_input(input: &Path, part: &str, error: Error) -> Error {
+    match error {
+        Error::Input { problem, remedy, .. } => Error::input(input, format!("{part}: {problem}"), remedy),
+        other => other,
+    }
 }
 
 /// The first warning about losses in a part of a scene, and the number of further ones.
@@ -167,8 +176,8 @@ struct Spill {
     folder: PathBuf,
     cells: Cells,
     sh_degree: u32,
-    antialiased: bool,
-    kernel_size: Option<f32>,
+    /// Marks of the scene's file.
+    marks: WriteOptions,
 }
 
 impl Spill {
@@ -203,8 +212,9 @@ impl Spill {
         })?;
         let folder = folder.join(ROWS);
         fs::create_dir(&folder).on(&folder, "create")?;
-        let splats::Header { sh_degree, antialiased, kernel_size, .. } = header;
-        let spill = Spill { means, origin, warnings, folder, cells, sh_degree, antialiased, kernel_size };
+        let splats::Header { sh_degree, antialiased, kernel_size, is_2dgs, .. } = header;
+        let marks = WriteOptions { antialiased, kernel_size, is_2dgs, ..Default::default() };
+        let spill = Spill { means, origin, warnings, folder, cells, sh_degree, marks };
         splats::open(input, read)?.blocks(&mut |mut block| {
             progress.check()?;
             block.transform(&shift);
@@ -351,19 +361,11 @@ impl TileWriter<'_, '_> {
         // The root's transform places all tiles.
         let write = WriteOptions {
             format: Some(Format::Glb),
-            antialiased: self.spill.antialiased,
-            kernel_size: self.spill.kernel_size,
             spz_version: self.options.packed.then_some(2),
-            ..WriteOptions::default()
+            ..self.spill.marks
         };
-        let loss =
-            splats::write_changed(self.folder.join(&name), &gaussians, &write).map_err(|e| match e {
-                // The folder still has its temporary name, and the scene is the cause, so the error names the input.
-                Error::Input { problem, remedy, .. } => {
-                    Error::input(self.input, format!("{name}: {problem}"), remedy)
-                }
-                other => other,
-            })?;
+        let loss = splats::write_changed(self.folder.join(&name), &gaussians, &write)
+            .map_err(|e| of_input(self.input, &name, e))?;
         if let Some(line) = loss {
             self.losses.add(&name, line);
         }

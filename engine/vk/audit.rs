@@ -1,4 +1,4 @@
-//! Opt-in audit of a context: hashes the output of every command. Comparing two audited runs of the same work shows the
+//! Opt-in audit of a context: hashes the output of every command except staged uploads. Comparing two audited runs of the same work shows the
 //! first command whose bits differ.
 //!
 //! Each command is surrounded by barriers and followed by a copy of its output. So an audited recording is slow and hides

@@ -15,10 +15,10 @@ const ARGUMENTS: Stage = Stage::DRAW_INDIRECT;
 /// Most places that are compared with the arguments of indirect dispatches. Recording takes nothing from the heap.
 const MAX_WRITTEN: usize = 32;
 
-/// Block of a buffer and its bytes there, or anywhere.
+/// Vulkan's buffer and the bytes there, or anywhere.
 #[derive(Clone, Copy, Default)]
 struct Place {
-    block: u64,
+    buffer: vk::Buffer,
     begin: u64,
     end: u64,
     is_anywhere: bool,
@@ -42,9 +42,11 @@ pub(super) struct Barriers {
 }
 
 impl Barriers {
-    /// For a recording behind commands of these stages that it must wait for.
+    /// For a recording behind commands of these stages that it must wait for. They may have written indirect arguments.
     pub(super) fn behind(stages: Stage) -> Self {
-        Self { behind: stages, ..Self::default() }
+        let mut barriers = Self { behind: stages, written: 1, ..Self::default() };
+        barriers.places[0].is_anywhere = true;
+        barriers
     }
 
     /// Orders all earlier commands before all later ones.
@@ -98,11 +100,11 @@ impl Barriers {
 impl Place {
     fn of(buffer: &Buffer) -> Self {
         let begin = buffer.offset();
-        Self { block: buffer.block().id, begin, end: begin + buffer.bytes(), is_anywhere: false }
+        Self { buffer: buffer.raw(), begin, end: begin + buffer.bytes(), is_anywhere: false }
     }
 
     fn overlaps(&self, other: &Self) -> bool {
-        self.is_anywhere || self.block == other.block && self.begin < other.end && other.begin < self.end
+        self.is_anywhere || self.buffer == other.buffer && self.begin < other.end && other.begin < self.end
     }
 }
 

@@ -226,7 +226,7 @@ impl RecordSlot {
         Ok(recorder)
     }
 
-    /// Ends a recording: makes all of its writes visible to the host, and then signals the event.
+    /// Ends a recording: makes all of its writes visible to the host and to later commands, and then signals the event.
     ///
     /// # Errors
     /// [`Error::Vulkan`] if the driver had no memory for more dispatches than the slot was made for. The
@@ -239,12 +239,13 @@ impl RecordSlot {
         let whole = recorder.check();
         let (commands, profiler) = recorder.finish_foreign();
         type Stage = vk::PipelineStageFlags2;
+        type Accesses = vk::AccessFlags2;
         // All stages: the timestamps wait for all commands, including those that the host recorded before.
         let writes = vk::MemoryBarrier2::default()
             .src_stage_mask(Stage::ALL_COMMANDS)
-            .src_access_mask(vk::AccessFlags2::SHADER_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
+            .src_access_mask(Accesses::SHADER_WRITE | Accesses::TRANSFER_WRITE)
             .dst_stage_mask(Stage::HOST | Stage::ALL_COMMANDS)
-            .dst_access_mask(vk::AccessFlags2::HOST_READ);
+            .dst_access_mask(Accesses::HOST_READ | Accesses::MEMORY_READ | Accesses::MEMORY_WRITE);
         self.inner.barrier(commands, &vk::DependencyInfo::default().memory_barriers(&[writes]));
         // Events do not accept the host stage. The barrier before has already made the writes visible.
         let order = [vk::MemoryBarrier2::default()

@@ -6,7 +6,7 @@
 // Means and covariances on the screen are those of the unscented transform, or where one of its points is not shown, of the
 // lens's Jacobian at the mean. A new family of lenses needs a PROJECTION_ constant; a file below lens/ with g, its two
 // derivatives and the gradient of its coefficients; a case in radial_at and in radial_backward; ANGULAR and BENDS below; the
-// host's file below engine/scene/lens/ and its lines in lens.rs; its keys in engine/files/transforms/frame.rs; and C's enum.
+// host's file below engine/scene/lens/ and its lines in lens.rs; its keys in engine/files/transforms.rs; and C's enum.
 // Matrices are stored by rows: M v is `v * M`, and A B is `B * A`.
 // Needs constants.glsl, camera.glsl, camera_block.glsl, PROJECTION, and the requirements of shutter.glsl.
 

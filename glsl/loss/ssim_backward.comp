@@ -3,7 +3,7 @@
 //   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
 //
 // invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable. The first one also
-// adds the `partials` of the forward pass in a fixed order, behind which the others hide its latency
+// adds the `partials` of the forward pass in a fixed order; the other workgroups hide its latency
 // in, PerPixel: accumulated, photo; PerPixel and channel: derivatives of ssim_forward.comp; loss_partials[partials]
 // out, PerPixel: image_gradient[4 * pixel + channel]; losses[loss_row] = (weight * L, mean |x - y|, mean SSIM, unused)
 // shared: 3 * (26^2 + 26 * 16) words; any subgroup size

@@ -68,13 +68,20 @@ fn an_indirect_dispatch_takes_its_grid_from_a_buffer() {
     let context = common::context();
     let sums = BlockSums::new(context, 5_000);
     let grid = [sums.workgroups as u32, 1, 1];
-    run(context, |r| {
-        r.update(&sums.arguments, bytemuck::cast_slice(&grid));
-        r.fill(&sums.block_sums, 0);
-        r.barrier();
-        r.dispatch_indirect(&sums.kernel, &sums.bind(), &PUSH, &sums.arguments);
-    });
-    sums.check(context);
+    // More commands than a recording compares write something between the arguments and their use.
+    for others in [0, 3, 100] {
+        run(context, |r| {
+            r.update(&sums.arguments, bytemuck::cast_slice(&grid));
+            r.fill(&sums.block_sums, 0);
+            for _ in 0..others {
+                r.barrier();
+                r.fill(&sums.block_sums, 1);
+            }
+            r.barrier();
+            r.dispatch_indirect(&sums.kernel, &sums.bind(), &PUSH, &sums.arguments);
+        });
+        sums.check(context);
+    }
     common::assert_silent(context);
 }
 

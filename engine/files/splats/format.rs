@@ -8,7 +8,6 @@ use flate2::read::GzDecoder;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::streamed_sog::is_lod_meta;
 use super::{Outline, WriteOptions};
 use crate::names::{has_photo_ending, quoted};
 use crate::{atomic, ply, regular_file};
@@ -206,7 +205,7 @@ impl Format {
     }
 
     /// Names what Gaussians of this SH degree and with these marks lose in the format.
-    pub(super) fn losses(self, sh_degree: u32, marks: &WriteOptions) -> Vec<String> {
+    pub(crate) fn losses(self, sh_degree: u32, marks: &WriteOptions) -> Vec<String> {
         let WriteOptions { antialiased, kernel_size, is_2dgs, .. } = *marks;
         let mut losses = Vec::new();
         if sh_degree > self.max_sh_degree() {
@@ -471,6 +470,10 @@ pub(crate) const LOD_META: &str = "lod-meta.json";
 
 pub(super) fn is_meta(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(META))
+}
+
+pub(super) fn is_lod_meta(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(LOD_META))
 }
 
 /// True for a SOG: its ZIP, its `meta.json`, the `lod-meta.json` of a streamed one, or the folder of either.

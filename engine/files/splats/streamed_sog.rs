@@ -5,11 +5,10 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::format::LOD_META;
 use super::{Format, Header, Opened, ReadOptions, Sink, sog};
 use crate::regular_file::{self, damaged};
 use ashsplat::{Error, Result};
@@ -86,7 +85,8 @@ impl LodMeta {
 
 /// Opens a streamed SOG, of which the finest level is read.
 pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>> {
-    let text = regular_file::read_json(path)?;
+    let text = regular_file::read(path, 1)?;
+    regular_file::check_json(path, &text, options.max_host_memory)?;
     let meta: LodMeta = serde_json::from_slice(&text).map_err(|e| damaged(path, e.to_string()))?;
     if meta.version != LodMeta::VERSION {
         let problem = format!("is version {} of a streamed SOG; 1 is known", meta.version);
@@ -97,7 +97,7 @@ pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>
         header.warnings.push(format!("the finest of {} levels of detail is used", meta.lod_levels));
     }
     // Files, with the rows that are read; `None` for all.
-    let mut parts = Vec::new();
+    let mut parts = Vec::<(PathBuf, Option<Vec<Range<u64>>>)>::new();
     let whole = meta.environment.iter().map(|name| (name, None));
     let levels = meta.finest().into_iter().map(|(file, rows)| match meta.filenames.get(file) {
         Some(name) => Ok((name, Some(joined(rows)))),
@@ -109,8 +109,11 @@ pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>
         if !inside || name.contains([':', '\\']) {
             return Err(damaged(path, format!("{name:?} does not lie in its folder")));
         }
-        let (Header { count, sh_degree, antialiased, .. }, produce) =
-            sog::open(&path.with_file_name(name), options)?;
+        let file = path.with_file_name(name);
+        if parts.iter().any(|part| part.0 == file) {
+            return Err(damaged(path, format!("names {name} twice")));
+        }
+        let Header { count, sh_degree, antialiased, .. } = sog::open(&file, options)?.0;
         let taken = rows.iter().flatten();
         if taken.clone().any(|rows| rows.end > count) {
             return Err(damaged(path, format!("a region ends behind the end of {name}")));
@@ -121,16 +124,21 @@ pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>
             return Err(damaged(path, "only some of its files want antialiasing"));
         }
         header.antialiased = antialiased;
-        parts.push((produce, rows));
+        parts.push((file, rows));
     }
+    let options = *options;
     let read = move |sink: &mut Sink<'_>| {
-        for (produce, rows) in &mut parts {
+        for (file, rows) in &parts {
             let mut first = 0;
-            produce(&mut |mut block| {
+            sog::open(file, &options)?.1(&mut |mut block| {
                 let begin = first;
                 first += block.len() as u64;
                 if let Some(rows) = rows {
-                    block.retain(|_, index| rows.iter().any(|rows| rows.contains(&(begin + index as u64))));
+                    block.retain(|_, index| {
+                        let row = begin + index as u64;
+                        let range = rows.get(rows.partition_point(|range| range.end <= row));
+                        range.is_some_and(|range| range.start <= row)
+                    });
                 }
                 sink(block)
             })?;
@@ -151,9 +159,4 @@ fn joined(mut all: Vec<Range<u64>>) -> Vec<Range<u64>> {
         }
     }
     joined
-}
-
-/// True for the name of a description.
-pub(super) fn is_lod_meta(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(LOD_META))
 }

@@ -4,14 +4,15 @@ use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::{MERGED, PartLosses, Spill, Tiling, box_around, enclosing, in_new_folder};
+use super::{MERGED, PartLosses, Spill, Tiling, box_around, enclosing, in_new_folder, of_input};
 use crate::atomic;
 use crate::decimate::decimate;
+use crate::host_memory;
 use crate::ply::morton_order;
 use crate::progress::Progress;
 use crate::splats::{
-    self, Asset, Bound, Format, LOD_META, LodMeta, ReadOptions, Region, Run, WriteOptions, write_origin,
-    write_sog_folder,
+    self, Asset, Bound, Format, LOD_META, LodMeta, ReadOptions, Region, Run, WriteOptions, row_bytes,
+    write_origin, write_sog_folder,
 };
 use ashsplat::Result;
 use ashsplat::scene::{Bounds, Gaussians};
@@ -42,14 +43,15 @@ pub fn write_streamed_sog(
         let levels = 1 + std::iter::successors(Some(gaussians / MERGED), |count| Some(count / MERGED))
             .take_while(|count| *count >= LEAST_IN_LEVEL)
             .count();
-        let options = WriteOptions {
-            antialiased: spill.antialiased,
-            kernel_size: spill.kernel_size,
-            ..WriteOptions::default()
-        };
+        let pending =
+            (0..levels).map(|level| (gaussians >> (2 * level)).min(FULL_FILE + most) as u64).sum::<u64>();
+        // Beside the Gaussians: the pictures, sorted values, SH vectors.
+        host_memory::check_writing(input, pending * (row_bytes(spill.sh_degree) + 64))?;
         let mut writer = LevelWriter {
+            input,
             folder,
-            options,
+            options: spill.marks,
+            format_losses: Format::Sog.losses(spill.sh_degree, &spill.marks),
             levels: (0..levels).map(|_| Level::default()).collect(),
             filenames: Vec::new(),
             bounds: Vec::new(),
@@ -60,10 +62,12 @@ pub fn write_streamed_sog(
         for cell in 0..regions {
             progress.check()?;
             tree.children.push(writer.region(spill.take(cell)?)?);
-            progress.step(cell + 1, regions);
+            progress.step(cell + 1, regions + levels);
         }
         for level in 0..levels {
+            progress.check()?;
             writer.finish_file(level)?;
+            progress.step(regions + level + 1, regions + levels);
         }
         tree.bound = writer.bounds.into_iter().reduce(enclosing).map(Bound::from).unwrap_or_default();
         let counts: Vec<u64> = writer.levels.iter().map(|level| level.count).collect();
@@ -81,6 +85,12 @@ pub fn write_streamed_sog(
         atomic::write(&path, |out| Ok(serde_json::to_writer(out, &meta)?))?;
         write_origin(&path, spill.origin)?;
         let mut warnings = spill.warnings;
+        if spill.origin != DVec3::ZERO {
+            let DVec3 { x, y, z } = spill.origin;
+            warnings
+                .push(format!("positions are relative to {x},{y},{z}, which {LOD_META}.origin.json names"));
+        }
+        warnings.extend(writer.format_losses);
         warnings.extend(writer.losses.line("files"));
         let (tiles, written) = (levels * regions, meta.count);
         Ok(Tiling { gaussians: gaussians as u64, tiles, leaves: regions, levels, written, warnings })
@@ -102,8 +112,11 @@ struct Level {
 }
 
 struct LevelWriter<'a> {
+    input: &'a Path,
     folder: &'a Path,
     options: WriteOptions,
+    /// Losses of any scene with these marks.
+    format_losses: Vec<String>,
     levels: Vec<Level>,
     filenames: Vec<String>,
     /// Boxes of the regions.
@@ -150,10 +163,12 @@ impl LevelWriter<'_> {
         let written = name.is_some();
         if written {
             let name = format!("{index}_{files}");
-            for line in splats::losses(Format::Sog, &file, &self.options)? {
+            let losses = splats::losses(Format::Sog, &file, &self.options)?;
+            for line in losses.into_iter().filter(|line| !self.format_losses.contains(line)) {
                 self.losses.add(&name, line);
             }
-            write_sog_folder(&self.folder.join(&name), &file, &order, &self.options)?;
+            let written = write_sog_folder(&self.folder.join(&name), &file, &order, &self.options);
+            written.map_err(|e| of_input(self.input, &name, e))?;
         }
         self.levels[index] = Level { files: files + usize::from(written), count, ..Level::default() };
         Ok(())
