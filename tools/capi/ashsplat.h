@@ -957,8 +957,8 @@ enum AshsplatStatus ashsplat_scene_load(const struct AshsplatContext *context,
 // # Safety
 // `scene` is alive; the pointers are NULL or valid for a write.
 enum AshsplatStatus ashsplat_scene_notes(const struct AshsplatScene *scene,
-                                        bool *antialiased,
-                                        const char **warnings);
+                                         bool *antialiased,
+                                         const char **warnings);
 
 // Number of Gaussians of a scene, and the degree of its spherical harmonics. Either pointer may be NULL.
 //
@@ -1695,8 +1695,8 @@ enum AshsplatStatus ashsplat_tile_gaussians(const struct AshsplatTileGaussians *
 // # Safety
 // `of` is alive; the pointers are NULL or valid for a write.
 enum AshsplatStatus ashsplat_tile_notes(const struct AshsplatTileGaussians *of,
-                                       bool *antialiased,
-                                       const char **warnings);
+                                        bool *antialiased,
+                                        const char **warnings);
 
 // Frees a tile's Gaussians, once the call that has recorded their update has returned.
 //

@@ -403,9 +403,9 @@ static void refused_demands(const AshsplatTree *tree, const AshsplatDemand *good
     AshsplatTree *none = (AshsplatTree *)1;
     EXPECT(ashsplat_tree_open("/no/such/folder", &none) == AshsplatStatus_File && none == NULL && said("tileset.json"));
     REFUSED(ashsplat_tree_open(NULL, &none), "folder: the pointer is null");
-    AshsplatTile told = ASHSPLAT_INIT(AshsplatTile);
-    REFUSED(ashsplat_tree_tile(tree, tile_count, &told), "tile: ");
-    REFUSED(ashsplat_tree_tile(tree, 0, NULL), "told: the pointer is null");
+    AshsplatTile properties = ASHSPLAT_INIT(AshsplatTile);
+    REFUSED(ashsplat_tree_tile(tree, tile_count, &properties), "tile: ");
+    REFUSED(ashsplat_tree_tile(tree, 0, NULL), "properties: the pointer is null");
     AshsplatTileGaussians *nothing = (AshsplatTileGaussians *)1;
     REFUSED(ashsplat_tree_read(tree, tile_count, &nothing), "tile: ");
     EXPECT(nothing == NULL);
