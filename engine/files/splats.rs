@@ -148,7 +148,7 @@ fn write_blocks(
 }
 
 pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
-    let description = format::sog_in(path).filter(|_| path.is_dir() && is_sog(path));
+    let description = format::sog_in(path);
     let format = if description.is_some() { Format::Sog } else { Format::of_file(path)? };
     let file = description.unwrap_or_else(|| path.to_owned());
     let (mut header, produce) = match format {
@@ -361,7 +361,8 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let double_positions = headers.iter().any(|header| header.double_positions) && format == Format::Ply;
     let options = WriteOptions { format: Some(format), spz_version: options.spz_version, frame, ..marks };
     let outline = Outline { count, sh_degree, options, bounds, double_positions };
-    warnings.extend(format.origin_note(output, &outline));
+    // Positions in double precision are absolute.
+    warnings.extend(format.origin_note(output, to).filter(|_| !double_positions));
     stream::check_origin(output, to)?;
     let loss = write_blocks(output, format, &outline, &mut |sink| {
         let mut sink = |block: Gaussians| {

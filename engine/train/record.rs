@@ -211,16 +211,17 @@ impl Trainer {
         let is_recorded = |step: &InFlight| slots[step.slot].recording.is_recorded();
         let Some(first) = in_flight.iter().position(|step| !is_recorded(step)) else { return Ok(()) };
         let discarded = in_flight.range(first..);
-        let problem = match discarded.clone().any(is_recorded) {
-            true => "a step was thrown away, but not those recorded behind it; continue from a checkpoint",
-            false if discarded.clone().any(|step| slots[step.slot].recording.was_discarded_late()) => {
-                in_flight.truncate(first);
-                "a step was discarded after it had been executed; continue from a checkpoint"
+        let recorded_behind = discarded.clone().any(is_recorded);
+        let late = discarded.clone().any(|step| slots[step.slot].recording.was_discarded_late());
+        if !recorded_behind {
+            in_flight.truncate(first);
+        }
+        let problem = match (recorded_behind, late) {
+            (true, _) => {
+                "a step was thrown away, but not those recorded behind it; continue from a checkpoint"
             }
-            false => {
-                in_flight.truncate(first);
-                return Ok(());
-            }
+            (false, true) => "a step was discarded after it had been executed; continue from a checkpoint",
+            (false, false) => return Ok(()),
         };
         self.state.broken = true;
         Err(Error::argument("training steps", problem))

@@ -1,5 +1,5 @@
-//! Opt-in audit of a context: hashes the output of every command except staged uploads. Comparing two audited runs of the same work shows the
-//! first command whose bits differ.
+//! Opt-in audit of a context: hashes the output of every command except staged uploads. Comparing two audited runs of the same
+//! work shows the first command whose bits differ.
 //!
 //! Each command is surrounded by barriers and followed by a copy of its output. So an audited recording is slow and hides
 //! races between commands. It is submitted in pieces, so that only a few copies exist at a time. New device memory is

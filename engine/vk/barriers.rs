@@ -76,7 +76,7 @@ impl Barriers {
 
     /// Adds a command of these stages. Returns the barrier to record before it, if there must be one.
     pub(super) fn order(&mut self, stages: Stage) -> Option<vk::MemoryBarrier2<'static>> {
-        // Without commands since the last barrier, that one serves.
+        // The last barrier serves if no command was recorded since.
         if std::mem::take(&mut self.is_due) && !self.behind.is_empty() {
             (self.before, self.behind, self.waiting) = (self.behind, Stage::NONE, Stage::NONE);
             self.settled = self.written;

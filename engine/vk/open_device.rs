@@ -51,7 +51,7 @@ impl Deref for RawDevice {
 impl Drop for RawDevice {
     fn drop(&mut self) {
         if self.ours {
-            // SAFETY: whoever owns this value has destroyed all that was made from the device, which is idle.
+            // SAFETY: the owner of this value has destroyed all that was made from the device, which is idle.
             unsafe { self.raw.destroy_device(None) }
         }
     }

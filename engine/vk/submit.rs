@@ -155,7 +155,7 @@ impl Context {
     /// [`Context::take_over_uploads`] see them in the buffer. Until then the caller must not write these bytes otherwise,
     /// and nothing in flight may use them: a copy queue may write them at once.
     ///
-    /// With `beside`, uses the copy queue even if the host sees a card's memory (resizable BAR): writing that memory would have
+    /// With `beside`, the upload uses the copy queue even if the host sees a card's memory (resizable BAR): writing that memory would have
     /// to wait for the main queue's work. All uploads to a buffer are then `beside`: the host writes only memory that no copy is
     /// known to use.
     pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8], beside: bool) -> Result<()> {

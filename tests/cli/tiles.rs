@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::common::splats::scene;
+use serde_json::json;
 
 fn with_scene(gaussians: usize) -> Place {
     let place = Place::empty();
@@ -92,11 +93,8 @@ fn a_scene_becomes_a_streamed_sog() {
         assert!(place.read(format!("one/{}", text(&file))) == place.read(format!("other/{}", text(&file))));
     }
     let meta = place.read_json("one/lod-meta.json");
-    assert_eq!(
-        (&meta["counts"], &meta["lodLevels"]),
-        (&serde_json::json!([20_000, 5000]), &serde_json::json!(2))
-    );
-    assert_eq!(meta["filenames"], serde_json::json!(["0_0/meta.json", "1_0/meta.json"]));
+    assert_eq!((&meta["counts"], &meta["lodLevels"]), (&json!([20_000, 5000]), &json!(2)));
+    assert_eq!(meta["filenames"], json!(["0_0/meta.json", "1_0/meta.json"]));
     let regions = meta["tree"]["children"].as_array().expect("regions");
     let count = |region: &Value, level: &str| region["lods"][level]["count"].as_u64().expect("a number");
     assert!(regions.iter().all(|region| (1..=6000).contains(&count(region, "0"))));
@@ -114,17 +112,13 @@ fn a_scene_becomes_a_streamed_sog() {
     assert!(sog > 35.0 && back > sog - 1.0 && streamed == back, "{sog} {back} {streamed}");
     // Files of others may be wrong.
     for (at, value, words) in [
-        ("/filenames/0", serde_json::json!("../scene.ply"), &["does not lie in its folder"][..]),
-        ("/filenames/0", serde_json::json!("http://a.b/meta.json"), &["does not lie in its folder"]),
-        ("/filenames/0", serde_json::json!("2_0/meta.json"), &["2_0"]),
-        ("/tree/children/0/lods/0/file", serde_json::json!(7), &["in file 7"]),
-        (
-            "/tree/children/0/lods/0/count",
-            serde_json::json!(u64::MAX),
-            &["ends behind the end of 0_0/meta.json"],
-        ),
-        ("/version", serde_json::json!(2), &["is version 2 of a streamed SOG"]),
-        ("/tree", serde_json::json!(null), &["lod-meta.json"]),
+        ("/filenames/0", json!("../scene.ply"), &["does not lie in its folder"][..]),
+        ("/filenames/0", json!("http://a.b/meta.json"), &["does not lie in its folder"]),
+        ("/filenames/0", json!("2_0/meta.json"), &["2_0"]),
+        ("/tree/children/0/lods/0/file", json!(7), &["in file 7"]),
+        ("/tree/children/0/lods/0/count", json!(u64::MAX), &["ends behind the end of 0_0/meta.json"]),
+        ("/version", json!(2), &["is version 2 of a streamed SOG"]),
+        ("/tree", json!(null), &["lod-meta.json"]),
     ] {
         let mut wrong = meta.clone();
         *wrong.pointer_mut(at).expect("a value") = value;

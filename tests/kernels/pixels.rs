@@ -67,7 +67,7 @@ fn photo_reduced_equals_its_twin() {
             transparent: change.is_some(),
         };
         let layout = if strips { NativeLayout::Strips } else { NativeLayout::Rows };
-        // With `masked`, one pixel of sixteen is hidden. Others of transparent photographs have any opacity.
+        // `masked` hides one pixel of sixteen. The other pixels of transparent photographs have any opacity.
         let mut mask = || match (masked && random.unit() < 1.0 / 16.0, change) {
             (true, _) => 0,
             (false, None) => 255,

@@ -55,7 +55,7 @@ fn per_group(blocks: usize) -> usize {
     blocks.div_ceil(SORT_GROUPS as usize).max(SORT_GROUP_BLOCKS as usize)
 }
 
-/// Some groups, and so many blocks that the groups have more of them.
+/// A few groups, and more blocks than all groups hold at their smallest size, so that groups grow.
 #[test]
 fn sort_upsweep_of_many_groups() {
     let gpu = Gpu::new();

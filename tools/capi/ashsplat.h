@@ -634,7 +634,7 @@ typedef struct AshsplatMotionTarget {
 typedef struct AshsplatSurfaceTarget {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // Where the surface lies: an AshsplatSurfaceDepth. It must be the one of AshsplatReservation.surface.
+  // Kind of the surface's depth, an AshsplatSurfaceDepth: the same as AshsplatReservation.surface.
   uint32_t depth;
   // A storage image of format R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT. A texel is the mean of the Gaussians' normals, weighted
   // as in blending, of unit length in the camera's frame (x right, y down, z forward), and the surface's depth z there, world

@@ -8,7 +8,7 @@ use flate2::read::GzDecoder;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::{Outline, WriteOptions};
+use super::WriteOptions;
 use crate::names::{has_photo_ending, quoted};
 use crate::{atomic, ply, regular_file};
 use ashsplat::{Error, Result};
@@ -229,10 +229,10 @@ impl Format {
     }
 
     /// A note on the origin of the positions, if programs that ignore it would place the scene elsewhere.
-    pub(super) fn origin_note(self, path: &Path, outline: &Outline) -> Option<String> {
-        let DVec3 { x, y, z } = outline.options.frame.origin;
+    pub(crate) fn origin_note(self, path: &Path, origin: DVec3) -> Option<String> {
+        let DVec3 { x, y, z } = origin;
         let place = match self.traits().origin {
-            _ if outline.options.frame.origin == DVec3::ZERO || outline.double_positions => return None,
+            _ if origin == DVec3::ZERO => return None,
             OriginPlace::Node => return None,
             OriginPlace::Comment => "a comment in its header".to_owned(),
             OriginPlace::Beside => origin_path(path).display().to_string(),
@@ -479,9 +479,7 @@ pub(super) fn is_lod_meta(path: &Path) -> bool {
 /// True for a SOG: its ZIP, its `meta.json`, the `lod-meta.json` of a streamed one, or the folder of either.
 pub fn is_sog(path: &Path) -> bool {
     if path.is_dir() {
-        // A model folder or a data set may hold one besides.
-        let others = ["point_cloud", "sparse", "transforms.json", "transforms_train.json"];
-        return !others.iter().any(|name| path.join(name).exists()) && sog_in(path).is_some();
+        return sog_in(path).is_some();
     }
     if is_lod_meta(path) {
         return start_of_text(path).is_some_and(|text| text.contains("\"lodLevels\""));
@@ -496,8 +494,12 @@ pub fn is_sog(path: &Path) -> bool {
     })
 }
 
-/// The description of a SOG in a folder.
+/// The description of a SOG in a folder. A model folder or a data set may hold one besides, and is none.
 pub(super) fn sog_in(folder: &Path) -> Option<PathBuf> {
+    let others = ["point_cloud", "sparse", "transforms.json", "transforms_train.json"];
+    if !folder.is_dir() || others.iter().any(|name| folder.join(name).exists()) {
+        return None;
+    }
     [META, LOD_META].map(|name| folder.join(name)).into_iter().find(|path| is_sog(path))
 }
 

@@ -29,7 +29,7 @@ const LEAST_IN_LEVEL: usize = 4096;
 /// has a quarter of the Gaussians of the finer one, merged by [`decimate`].
 ///
 /// # Errors
-/// As [`super::write`].
+/// Those of [`super::write`].
 pub fn write_streamed_sog(
     input: &Path,
     folder: &Path,
@@ -40,11 +40,10 @@ pub fn write_streamed_sog(
     in_new_folder(folder, |folder| {
         let spill = Spill::of(input, folder, most, read, progress)?;
         let gaussians = spill.means.len();
-        let levels = 1 + std::iter::successors(Some(gaussians / MERGED), |count| Some(count / MERGED))
-            .take_while(|count| *count >= LEAST_IN_LEVEL)
-            .count();
-        let pending =
-            (0..levels).map(|level| (gaussians >> (2 * level)).min(FULL_FILE + most) as u64).sum::<u64>();
+        let fewer = |count: &usize| Some(count / MERGED).filter(|count| *count >= LEAST_IN_LEVEL);
+        let sizes: Vec<usize> = std::iter::successors(Some(gaussians), fewer).collect();
+        let levels = sizes.len();
+        let pending = sizes.iter().map(|size| (*size).min(FULL_FILE + most) as u64).sum::<u64>();
         // Beside the Gaussians: the pictures, sorted values, SH vectors.
         host_memory::check_writing(input, pending * (row_bytes(spill.sh_degree) + 64))?;
         let mut writer = LevelWriter {
@@ -53,8 +52,7 @@ pub fn write_streamed_sog(
             options: spill.marks,
             format_losses: Format::Sog.losses(spill.sh_degree, &spill.marks),
             levels: (0..levels).map(|_| Level::default()).collect(),
-            filenames: Vec::new(),
-            bounds: Vec::new(),
+            files: Vec::new(),
             losses: PartLosses::default(),
         };
         let mut tree = Region::default();
@@ -69,7 +67,8 @@ pub fn write_streamed_sog(
             writer.finish_file(level)?;
             progress.step(regions + level + 1, regions + levels);
         }
-        tree.bound = writer.bounds.into_iter().reduce(enclosing).map(Bound::from).unwrap_or_default();
+        let bounds = tree.children.iter().map(|region| Bounds::from(region.bound));
+        tree.bound = bounds.reduce(enclosing).map(Bound::from).unwrap_or_default();
         let counts: Vec<u64> = writer.levels.iter().map(|level| level.count).collect();
         let meta = LodMeta {
             version: LodMeta::VERSION,
@@ -78,18 +77,14 @@ pub fn write_streamed_sog(
             counts,
             lod_levels: levels as u32,
             environment: None,
-            filenames: writer.filenames,
+            filenames: writer.files.iter().map(|file| format!("{file}/meta.json")).collect(),
             tree,
         };
         let path = folder.join(LOD_META);
         atomic::write(&path, |out| Ok(serde_json::to_writer(out, &meta)?))?;
         write_origin(&path, spill.origin)?;
         let mut warnings = spill.warnings;
-        if spill.origin != DVec3::ZERO {
-            let DVec3 { x, y, z } = spill.origin;
-            warnings
-                .push(format!("positions are relative to {x},{y},{z}, which {LOD_META}.origin.json names"));
-        }
+        warnings.extend(Format::Sog.origin_note(Path::new(LOD_META), spill.origin));
         warnings.extend(writer.format_losses);
         warnings.extend(writer.losses.line("files"));
         let (tiles, written) = (levels * regions, meta.count);
@@ -104,9 +99,9 @@ struct Level {
     /// Order of the Gaussians within the file, region by region.
     order: Vec<usize>,
     /// Number of the level's files that are written.
-    files: usize,
-    /// Index of the file that is being filled, if it has a name.
-    name: Option<usize>,
+    written: usize,
+    /// Index of the file among those of all levels, if it has Gaussians.
+    index: Option<usize>,
     /// Number of the level's Gaussians.
     count: u64,
 }
@@ -118,9 +113,8 @@ struct LevelWriter<'a> {
     /// Losses of any scene with these marks.
     format_losses: Vec<String>,
     levels: Vec<Level>,
-    filenames: Vec<String>,
-    /// Boxes of the regions.
-    bounds: Vec<Bounds>,
+    /// Folders of the files of all levels.
+    files: Vec<String>,
     losses: PartLosses,
 }
 
@@ -136,9 +130,9 @@ impl LevelWriter<'_> {
                 bounds = enclosing(bounds, one_deviation(&gaussians));
             }
             let level = &mut self.levels[index];
-            let file = *level.name.get_or_insert_with(|| {
-                self.filenames.push(format!("{index}_{}/meta.json", level.files));
-                self.filenames.len() - 1
+            let file = *level.index.get_or_insert_with(|| {
+                self.files.push(format!("{index}_{}", level.written));
+                self.files.len() - 1
             });
             let first = level.file.len();
             level.file.sh_degree = gaussians.sh_degree;
@@ -153,24 +147,21 @@ impl LevelWriter<'_> {
             }
         }
         region.bound = bounds.into();
-        self.bounds.push(bounds);
         Ok(region)
     }
 
-    /// Writes the file of a level, if there is one.
-    fn finish_file(&mut self, index: usize) -> Result<()> {
-        let Level { file, order, files, name, count } = std::mem::take(&mut self.levels[index]);
-        let written = name.is_some();
-        if written {
-            let name = format!("{index}_{files}");
-            let losses = splats::losses(Format::Sog, &file, &self.options)?;
-            for line in losses.into_iter().filter(|line| !self.format_losses.contains(line)) {
-                self.losses.add(&name, line);
-            }
-            let written = write_sog_folder(&self.folder.join(&name), &file, &order, &self.options);
-            written.map_err(|e| of_input(self.input, &name, e))?;
+    /// Writes the file of a level, if it has Gaussians.
+    fn finish_file(&mut self, level: usize) -> Result<()> {
+        let Some(index) = self.levels[level].index else { return Ok(()) };
+        let Level { file, order, written, count, .. } = std::mem::take(&mut self.levels[level]);
+        let name = &self.files[index];
+        let losses = splats::losses(Format::Sog, &file, &self.options)?;
+        for line in losses.into_iter().filter(|line| !self.format_losses.contains(line)) {
+            self.losses.add(name, line);
         }
-        self.levels[index] = Level { files: files + usize::from(written), count, ..Level::default() };
+        write_sog_folder(&self.folder.join(name), &file, &order, &self.options)
+            .map_err(|e| of_input(self.input, name, e))?;
+        self.levels[level] = Level { written: written + 1, count, ..Level::default() };
         Ok(())
     }
 }
@@ -187,6 +178,12 @@ fn one_deviation(all: &Gaussians) -> Bounds {
 
 impl From<Bounds> for Bound {
     fn from(Bounds { min, max }: Bounds) -> Self {
+        Self { min: min.into(), max: max.into() }
+    }
+}
+
+impl From<Bound> for Bounds {
+    fn from(Bound { min, max }: Bound) -> Self {
         Self { min: min.into(), max: max.into() }
     }
 }
