@@ -54,7 +54,7 @@ pub mod vk;
 /// The Vulkan bindings whose types the API shows.
 pub use ash;
 pub use error::{Error, Result};
-pub use frame::{Blending, Extent, RenderSettings, SceneSettings, Selection, Shape, SurfaceDepth};
+pub use frame::{Blending, Extent, RenderSettings, SceneSettings, Selection, ShStorage, Shape, SurfaceDepth};
 /// The vectors and matrices whose types the API shows.
 pub use glam;
 pub use passes::compose::Background;

@@ -4,7 +4,7 @@ use crate::common::device::planned_peak;
 use crate::common::prelude::*;
 use crate::few_photos::{few, mapped};
 use ashsplat::scene::WorldFrame;
-use ashsplat::train::{Actions, MomentState, MomentsType, OptimizerType, ShStorage};
+use ashsplat::train::{Actions, MomentState, MomentsType, OptimizerType};
 use glam::DVec3;
 use std::path::Path;
 

@@ -10,7 +10,7 @@ use crate::reference::pipeline::{self, pixels_of, tile_of};
 use crate::reference::splat_surface::{depth_slope, splat_normal};
 use ashsplat::scene::Intrinsics;
 use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh};
-use ashsplat::train::{MomentsType, ShStorage};
+use ashsplat::train::MomentsType;
 use ashsplat::{Surface, SurfaceDepth};
 use glam::{DVec3, Mat3};
 

@@ -5,7 +5,7 @@ use crate::common::prelude::*;
 use crate::common::training::{forecast, photo_size};
 use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, initial_visible};
 use ashsplat::scene::Bounds;
-use ashsplat::train::{Capacities, MomentsType, SceneBlock, ShStorage};
+use ashsplat::train::{Capacities, MomentsType, SceneBlock};
 use ashsplat::vk::{Life, pack};
 
 const SIZE: [u32; 2] = [64, 48];

@@ -4,6 +4,7 @@
 //! can share a dispatch. A workgroup is a culling block of one scene, and finds that scene in the table of camera blocks
 //! (glsl/include/batch.glsl). It skips blocks of other scenes that lie between those of a batch.
 
+use super::ShStorage;
 use super::inputs::PlacedScene;
 use crate::kernels::constants::NO_BATCH;
 
@@ -120,6 +121,6 @@ fn shared(block: u32, placed: &PlacedScene<'_>) -> Option<Shared> {
         && drawn <= MOST_BLOCKS * block
         && memory != 0
         && placed.settings.mask().is_none()
-        && !placed.scene.plan.half_sh;
+        && placed.scene.plan.sh_storage == ShStorage::F32;
     fits.then(|| Shared { memory, sh_degree: placed.sh_degree, kinds: placed.settings.kinds() })
 }

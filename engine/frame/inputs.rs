@@ -128,7 +128,7 @@ impl<'a> FrameInputs<'a> {
 
     /// Returns the variant of the kernels that differentiate or optimise the first scene.
     pub(crate) fn trained_variant(&self) -> FrameVariant {
-        FrameVariant { half_sh: self.scene().plan.half_sh, ..self.variant() }
+        FrameVariant { sh_storage: self.scene().plan.sh_storage, ..self.variant() }
     }
 
     /// True if the tile sort keeps the index of each instance: the buffers are those of [`FrameCapacity::backward`]. Otherwise it

@@ -25,9 +25,9 @@ pub(crate) use inputs::{Parameters, Part};
 pub use launch_sizes::{BlendShape, LaunchSizes, SORT_ARRIVAL_BYTES, blocks, region_height};
 pub(crate) use plan::half_parameter_planes;
 pub use plan::{
-    FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, gaussians_with,
-    initial_instances, initial_visible, max_trained_among, max_trained_gaussians, max_trained_instances,
-    next_scene_begin, parameter_planes, tile_bits, tile_grid, to_u32,
+    FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, ShStorage,
+    gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,
+    max_trained_instances, next_scene_begin, parameter_planes, tile_bits, tile_grid, to_u32,
 };
 pub use settings::{
     Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, MAX_TINT, POINT_RADIUS_PX, RenderSettings,

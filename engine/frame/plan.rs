@@ -26,13 +26,38 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
         }
 }
 
+/// Storage of a scene's SH coefficients on the device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "lowercase"))]
+pub enum ShStorage {
+    /// A float32 each: 192 bytes per Gaussian of SH degree 3.
+    #[default]
+    F32,
+    /// A half each: 96 bytes. Rounded to the nearest by uploads, up or down at random by training, which takes packed moments then.
+    Half,
+    /// A byte each, but floats for the base colour: 64 bytes. A byte is a number of steps: of 1/128, as in SPZ files, where all of the
+    /// Gaussian's coefficients are multiples of it, otherwise of a step of its own. Only for drawing.
+    Bytes,
+}
+
+impl ShStorage {
+    /// Number of parameter planes of a Gaussian with SH up to `sh_degree`.
+    pub const fn planes(self, sh_degree: u32) -> u32 {
+        match self {
+            Self::F32 => parameter_planes(sh_degree),
+            Self::Half => half_parameter_planes(sh_degree),
+            Self::Bytes => PLANE_SH + 1 + sh_degree,
+        }
+    }
+}
+
 /// Same as [`parameter_planes`] with SH in halves, two planes in one.
 pub(crate) const fn half_parameter_planes(sh_degree: u32) -> u32 {
     PLANE_SH + (parameter_planes(sh_degree) - PLANE_SH).div_ceil(2)
 }
 
 /// Returns the planes stored together with `plane`: the geometry, or one SH degree.
-fn group_of(plane: u32, planes_up_to: fn(u32) -> u32) -> Range<u32> {
+fn group_of(plane: u32, planes_up_to: impl Fn(u32) -> u32) -> Range<u32> {
     match (0..=3).find(|&degree| plane < planes_up_to(degree)) {
         _ if plane < PLANE_SH => 0..PLANE_SH,
         Some(0) => PLANE_SH..planes_up_to(0),
@@ -59,9 +84,8 @@ pub struct ScenePlan {
     pub capacity: u32,
     /// Stored SH degree.
     pub sh_degree: u32,
-    /// True if SH coefficients are halves: a plane has eight. The engine draws and trains such scenes, but [`Renderer`](crate::Renderer)
-    /// does not differentiate them.
-    pub half_sh: bool,
+    /// Storage of SH coefficients. [`Renderer`](crate::Renderer) differentiates only floats.
+    pub sh_storage: ShStorage,
     /// vec4 planes per Gaussian.
     pub planes: u32,
     /// Gaussians per chunk. A multiple of every block size.
@@ -71,17 +95,17 @@ pub struct ScenePlan {
 }
 
 impl ScenePlan {
-    /// Plans for `capacity` Gaussians with SH up to `sh_degree`, in halves if `half_sh`.
+    /// Plans for `capacity` Gaussians with SH up to `sh_degree`.
     ///
     /// # Errors
     /// [`Error::TooLarge`] when the count exceeds 30-bit indices.
-    pub fn new(limits: &Limits, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<Self> {
+    pub fn new(limits: &Limits, capacity: u32, sh_degree: u32, sh_storage: ShStorage) -> Result<Self> {
         const MAX_GAUSSIANS: u32 = 1 << 30;
         if capacity > MAX_GAUSSIANS {
             let limit = (MAX_GAUSSIANS.into(), "30-bit indices");
             return Err(Error::too_large("the scene", (capacity.into(), "Gaussians"), limit));
         }
-        let planes = if half_sh { half_parameter_planes(sh_degree) } else { parameter_planes(sh_degree) };
+        let planes = sh_storage.planes(sh_degree);
         let align = u64::from(ELEMENTWISE_WORKGROUP);
         let bytes_per_gaussian = u64::from(planes) * 16;
         let largest =
@@ -90,7 +114,7 @@ impl ScenePlan {
         let wanted = blocks(u64::from(capacity).max(1), align);
         let chunks = blocks(wanted, largest.max(1));
         let chunk_gaussians = to_u32(blocks(wanted, chunks) * align)?;
-        Ok(Self { capacity, sh_degree, half_sh, planes, chunk_gaussians, chunks: to_u32(chunks)? })
+        Ok(Self { capacity, sh_degree, sh_storage, planes, chunk_gaussians, chunks: to_u32(chunks)? })
     }
 
     /// Bytes of one chunk.
@@ -100,7 +124,8 @@ impl ScenePlan {
 
     /// Plan for the same Gaussians with two SH planes in one. The same plan if they are so already.
     pub(crate) fn halved(&self) -> Self {
-        Self { half_sh: true, planes: half_parameter_planes(self.sh_degree), ..*self }
+        let sh_storage = ShStorage::Half;
+        Self { sh_storage, planes: sh_storage.planes(self.sh_degree), ..*self }
     }
 
     /// Returns where a plane is in a chunk, as `place_in` of planes.glsl takes it.
@@ -111,12 +136,12 @@ impl ScenePlan {
 
     /// Returns the planes stored together with `plane`.
     pub(crate) fn group(&self, plane: u32) -> Range<u32> {
-        group_of(plane, if self.half_sh { half_parameter_planes } else { parameter_planes })
+        group_of(plane, |degree| self.sh_storage.planes(degree))
     }
 
     /// Returns the index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2
-    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each), or with SH in halves 3, 4, 5 and 6, and 7 and 8. A
-    /// group is contiguous for all Gaussians, in rows of eight Gaussians. Planes `first` to `end - 1` begin at
+    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each), or with SH in halves 3, 4, 5 and 6, and 7 and 8, or with
+    /// bytes 3, 4, 5, and 6. A group is contiguous for all Gaussians, in rows of eight Gaussians. Planes `first` to `end - 1` begin at
     /// `first * chunk_gaussians + (index / 8 * (end - first) + plane - first) * 8 + index % 8`.
     ///
     /// # Panics

@@ -1,7 +1,7 @@
 //! Gaussians in the device's layout, vec4 planes split into chunks, and conversions to and from it.
 
 use crate::error::{Error, Result};
-use crate::frame::{GaussianRange, SceneBuffers, ScenePlan, to_u32};
+use crate::frame::{GaussianRange, SceneBuffers, ScenePlan, ShStorage, to_u32};
 use crate::kernels::constants as c;
 use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
@@ -37,7 +37,7 @@ pub fn upload(
     sh_degree: u32,
 ) -> Result<SceneBuffers> {
     let count = to_u32(gaussians.len() as u64)?;
-    let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree, false)?;
+    let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree, ShStorage::F32)?;
     upload_planned(context, arena, MemoryKind::Device, gaussians, plan)
 }
 
@@ -172,20 +172,61 @@ pub(crate) fn pack_into(
         put(c::PLANE_LOG_SCALE, [x, y, z, 0.0]);
         let sh = &g.sh_of(source);
         let floats = sh[..stored.min(sh.len())].as_flattened();
-        if plan.half_sh {
-            for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(8)) {
-                let mut halves = [f16::ZERO; 8];
-                halves.iter_mut().zip(floats).for_each(|(half, &float)| *half = nearest_half(float));
-                put(plane, bytemuck::cast(halves.map(f16::to_bits)));
+        match plan.sh_storage {
+            ShStorage::F32 => {
+                for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(4)) {
+                    let mut values = [0.0; 4];
+                    values[..floats.len()].copy_from_slice(floats);
+                    put(plane, values);
+                }
             }
-            continue;
-        }
-        for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(4)) {
-            let mut values = [0.0; 4];
-            values[..floats.len()].copy_from_slice(floats);
-            put(plane, values);
+            ShStorage::Half => {
+                for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(8)) {
+                    let mut halves = [f16::ZERO; 8];
+                    halves.iter_mut().zip(floats).for_each(|(half, &float)| *half = nearest_half(float));
+                    put(plane, bytemuck::cast(halves.map(f16::to_bits)));
+                }
+            }
+            ShStorage::Bytes => {
+                let Some((&[r, g, b], higher)) = floats.split_first_chunk() else { continue };
+                let step = exact_step(higher).unwrap_or_else(|| rounded_step(higher));
+                put(c::PLANE_SH, [r, g, b, step]);
+                // The first bytes stand for the base colour and are unused.
+                let mut bytes = [0; 48];
+                bytes
+                    .iter_mut()
+                    .skip(3)
+                    .zip(higher)
+                    .for_each(|(byte, value)| *byte = (value / step).round() as i8);
+                for (plane, bytes) in (c::PLANE_SH + 1..plan.planes).zip(bytes.as_chunks::<16>().0) {
+                    put(plane, bytemuck::cast(*bytes));
+                }
+            }
         }
     }
+}
+
+impl ShStorage {
+    /// Returns the smallest storage in which these Gaussians keep their bits: bytes for those of SPZ files.
+    pub fn lossless(gaussians: &Gaussians) -> Self {
+        let mut all = gaussians.sh.chunks_exact(sh_coefficients(gaussians.sh_degree));
+        let in_bytes = |own: &[[f32; 3]]| exact_step(own[1..].as_flattened()).is_some();
+        // Without higher degrees, bytes are as large as floats.
+        if gaussians.sh_degree > 0 && all.all(in_bytes) { Self::Bytes } else { Self::F32 }
+    }
+}
+
+/// The step of which all values are multiples that fit bytes: 1/128, as SPZ files have it. Negative if there is 1, which mirroring makes
+/// of -1.
+fn exact_step(values: &[f32]) -> Option<f32> {
+    let fits = |step: f32| values.iter().all(|value| f32::from((value / step) as i8) * step == *value);
+    [1.0 / 128.0, -1.0 / 128.0].into_iter().find(|step| fits(*step))
+}
+
+/// A step for values of which some are rounded. Ones that are not finite do not count.
+fn rounded_step(values: &[f32]) -> f32 {
+    values.iter().filter(|value| value.is_finite()).fold(0.0, |most: f32, value| most.max(value.abs()))
+        / 127.0
 }
 
 /// The nearest finite half.
@@ -203,12 +244,18 @@ fn unpack(planes: &[[f32; 4]], count: usize, plan: &ScenePlan, out: &mut Gaussia
         out.quats.push(at(c::PLANE_QUAT, i));
         let [x, y, z, _] = at(c::PLANE_LOG_SCALE, i);
         out.log_scales.push([x, y, z]);
-        let float = |f: usize| match plan.half_sh {
-            true => {
+        let float = |f: usize| match plan.sh_storage {
+            ShStorage::F32 => at(c::PLANE_SH + f as u32 / 4, i)[f % 4],
+            ShStorage::Half => {
                 let halves: [u16; 8] = bytemuck::cast(at(c::PLANE_SH + f as u32 / 8, i));
                 f16::from_bits(halves[f % 8]).to_f32()
             }
-            false => at(c::PLANE_SH + f as u32 / 4, i)[f % 4],
+            ShStorage::Bytes => {
+                let base = at(c::PLANE_SH, i);
+                let byte =
+                    |f: usize| bytemuck::cast::<_, [i8; 16]>(at(c::PLANE_SH + 1 + f as u32 / 16, i))[f % 16];
+                if f < 3 { base[f] } else { f32::from(byte(f)) * base[3] }
+            }
         };
         out.sh.extend((0..k).map(|j| [float(3 * j), float(3 * j + 1), float(3 * j + 2)]));
     }

@@ -1,6 +1,6 @@
 //! Render settings of a frame.
 
-use super::Outputs;
+use super::{Outputs, ShStorage};
 use crate::error::{Error, Result};
 use crate::kernels::constants::{self as c, DILATION_PX2, TINTED_COLOR_MAX};
 use crate::scene::{Camera, Cut, CutOut, JacobianLimit, MAX_CUT_OUTS, Projection};
@@ -456,9 +456,8 @@ pub struct FrameVariant {
     pub cut_outs: bool,
     /// A scene has a selection. Affects projection.
     pub selection: bool,
-    /// A scene stores SH in halves. Affects projection, its backward pass and the optimiser, which takes packed moments
-    /// then.
-    pub half_sh: bool,
+    /// Storage of a scene's SH. Affects projection, its backward pass and the optimiser.
+    pub sh_storage: ShStorage,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
     /// `expected_depth`. Affects projection and its backward pass.
     pub z_record: bool,
@@ -503,10 +502,10 @@ impl FrameVariant {
         kinds.filter_map(of).map(|camera| Self::of(settings, camera, backward)).collect()
     }
 
-    /// Returns the variant of one of a frame's scenes; `half_sh`: it stores SH in halves.
-    pub(crate) fn of_scene(self, half_sh: bool, settings: &SceneSettings) -> Self {
+    /// Returns the variant of one of a frame's scenes, with this storage.
+    pub(crate) fn of_scene(self, sh_storage: ShStorage, settings: &SceneSettings) -> Self {
         let [tinted, cut_outs, selection] = settings.kinds();
-        Self { tinted, cut_outs, selection, half_sh, ..self }
+        Self { tinted, cut_outs, selection, sh_storage, ..self }
     }
 
     /// True if kernels of projection have their form for lenses.
@@ -522,6 +521,7 @@ impl FrameVariant {
 
     /// True if batches support the variant.
     pub(crate) fn may_be_batched(self) -> bool {
-        !(self.dropout || self.selection || self.half_sh || self.z_record || self.backward)
+        self.sh_storage == ShStorage::F32
+            && !(self.dropout || self.selection || self.z_record || self.backward)
     }
 }

@@ -1,7 +1,7 @@
 //! Adam over all parameters in one pass.
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, GaussianRange, LaunchSizes, ScenePlan};
+use crate::frame::{FrameInputs, FrameVariant, GaussianRange, LaunchSizes, ScenePlan, ShStorage};
 use crate::kernels::optimizer::adam;
 use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
@@ -108,7 +108,7 @@ impl Optimizer {
             workgroup_size,
             sh_degree,
             packed,
-            half_sh: variant.half_sh,
+            half_sh: variant.sh_storage == ShStorage::Half,
             sparse,
             parameter_gradients,
             moved_camera,

@@ -178,8 +178,9 @@ impl Backward {
         variant: FrameVariant,
         BackwardForm { absolute, pose: pose_gradient, lens: lens_gradient }: BackwardForm,
     ) -> project_backward::Spec {
-        let FrameVariant { filter_3d, own_dilation, dropout, z_record, half_sh, projection, shutter, .. } =
-            variant;
+        let FrameVariant {
+            filter_3d, own_dilation, dropout, z_record, sh_storage, projection, shutter, ..
+        } = variant;
         project_backward::Spec {
             // The indirect dispatch over the visible Gaussians counts blocks of the elementwise workgroup's size.
             workgroup_size: self.sizes.elementwise_workgroup,
@@ -189,7 +190,7 @@ impl Backward {
             own_dilation,
             dropout,
             z_record,
-            half_sh,
+            sh_storage: sh_storage as u32,
             absolute,
             pose_gradient,
             lens_gradient,

@@ -3,7 +3,7 @@
 
 use super::scan::{Counted, Scan};
 use crate::error::Result;
-use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes};
+use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes, ShStorage};
 use crate::kernels::constants as c;
 use crate::kernels::forward::{compact, cull, cull_scenes};
 use crate::vk::{Context, Kernel, KernelSet, Recorder};
@@ -89,7 +89,7 @@ impl Cull {
             self.record_batch_flags(r, inputs, batch, of_frame);
         }
         for part in inputs.parts() {
-            let variant = of_frame.of_scene(false, part.settings);
+            let variant = of_frame.of_scene(ShStorage::F32, part.settings);
             let Some(kernel) = self.scene.get_or_fail(r, &self.spec(variant)) else { return };
             let push = cull::Push {
                 first: part.first_in_frame,
@@ -126,7 +126,7 @@ impl Cull {
         of_frame: FrameVariant,
     ) {
         let first = &inputs.scenes[batch.first as usize];
-        let spec = self.batch_spec(of_frame.of_scene(false, first.settings));
+        let spec = self.batch_spec(of_frame.of_scene(ShStorage::F32, first.settings));
         let Some(kernel) = self.batch.get_or_fail(r, &spec) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.buffers);
         let [first_block, end_block] = batch.blocks(self.sizes.elementwise_workgroup);

@@ -2,7 +2,7 @@
 //! them. Culling runs the same projection before, for the visibility only.
 
 use crate::error::Result;
-use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes, Part, SceneView};
+use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes, Part, SceneView, ShStorage};
 use crate::kernels::forward::{project, project_scenes, screen_motion, splat_surfaces};
 use crate::scene::Projection;
 use crate::vk::{Context, KernelSet, Recorder};
@@ -55,7 +55,7 @@ impl Project {
             projection,
             shutter,
             shared_order,
-            half_sh,
+            sh_storage,
             ..
         } = variant;
         project::Spec {
@@ -70,7 +70,7 @@ impl Project {
             lenses: variant.has_lens(),
             sh_loops: self.sizes.tuning.sh_loops,
             shared_order,
-            half_sh,
+            sh_storage: sh_storage as u32,
             shutter,
         }
     }
@@ -118,7 +118,7 @@ impl Project {
             self.record_batch(r, inputs, batch);
         }
         for part in inputs.parts() {
-            let variant = inputs.variant().of_scene(part.scene.plan.half_sh, part.settings);
+            let variant = inputs.variant().of_scene(part.scene.plan.sh_storage, part.settings);
             let Some(kernel) = self.scene.get_or_fail(r, &self.spec(part.sh_degree, variant)) else { return };
             let push = project::Push {
                 first: part.first_in_frame,
@@ -157,7 +157,8 @@ impl Project {
     /// Records the projection of a batch.
     fn record_batch(&self, r: &mut Recorder, inputs: &FrameInputs, batch: &Batch) {
         let first = &inputs.scenes[batch.first as usize];
-        let spec = self.batch_spec(first.sh_degree, inputs.variant().of_scene(false, first.settings));
+        let spec =
+            self.batch_spec(first.sh_degree, inputs.variant().of_scene(ShStorage::F32, first.settings));
         let Some(kernel) = self.batch.get_or_fail(r, &spec) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.buffers);
         let [first_block, end_block] = batch.blocks(self.sizes.elementwise_workgroup);

@@ -217,7 +217,7 @@ fn check_scene(
         let problem = format!("is {}, and scenes[{index}] is drawn with degree {degree}", reserved.sh_degree);
         return Err(Error::argument(field_name("sh_degree"), problem));
     }
-    reserved.check_scene(index, placed.scene.plan().half_sh, &placed.settings)
+    reserved.check_scene(index, placed.scene.plan().sh_storage, &placed.settings)
 }
 
 fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {

@@ -1,7 +1,7 @@
 //! A scene on the device that a host owns, changes and places in the world.
 
 use crate::error::{Error, Result};
-use crate::frame::{Parameters, SceneBuffers, ScenePlan, planes, to_u32};
+use crate::frame::{Parameters, SceneBuffers, ScenePlan, ShStorage, planes, to_u32};
 use crate::scene::Gaussians;
 use crate::vk::{Buffer, Context, MemoryKind};
 
@@ -34,20 +34,24 @@ impl DeviceScene {
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
-        gaussians.check_shapes().map_err(|error| error.within("gaussians"))?;
-        let buffers = planes::upload(context, "scene", gaussians, capacity, gaussians.sh_degree)?;
-        Ok(Self::new(context, buffers))
+        Self::upload_stored(context, gaussians, capacity, ShStorage::F32)
     }
 
-    /// Same as [`DeviceScene::upload`], with SH coefficients as halves, each rounded to the nearest: 144 bytes per Gaussian of SH
-    /// degree 3 in place of 240. Frames that are recorded need [`Reservation::half_sh`](super::Reservation::half_sh).
+    /// Same as [`DeviceScene::upload`], with this storage of SH coefficients: 240, 144 or 112 bytes per Gaussian of SH degree 3.
+    /// Frames that are recorded need [`Reservation::half_sh`](super::Reservation::half_sh) or
+    /// [`Reservation::byte_sh`](super::Reservation::byte_sh). [`ShStorage::lossless`] is drawn as floats are, to the bit.
     ///
     /// # Errors
     /// Same as [`DeviceScene::upload`].
-    pub fn upload_half(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
+    pub fn upload_stored(
+        context: &Context,
+        gaussians: &Gaussians,
+        capacity: u32,
+        sh_storage: ShStorage,
+    ) -> Result<Self> {
         gaussians.check_shapes().map_err(|error| error.within("gaussians"))?;
         let capacity = capacity.max(to_u32(gaussians.len() as u64)?);
-        let plan = Self::plan_for(context, capacity, gaussians.sh_degree, true)?;
+        let plan = Self::plan_for(context, capacity, gaussians.sh_degree, sh_storage)?;
         let buffers = planes::upload_planned(context, "scene", MemoryKind::Device, gaussians, plan)?;
         Ok(Self::new(context, buffers))
     }
@@ -57,7 +61,7 @@ impl DeviceScene {
     ///
     /// Frames cull and project small scenes of one buffer together, as a batch, with the same bits. A batch has 8 scenes or
     /// more, each of at most 16 culling blocks (4096 Gaussians on usual devices). Its scenes have the same evaluated SH
-    /// degree, and all or none have a tint or opacity, and cut-outs. Scenes with a selection, with SH in halves, or of a frame with
+    /// degree, and all or none have a tint or opacity, and cut-outs. Scenes with a selection, with SH in halves or bytes, or of a frame with
     /// motion or a surface, are drawn alone. At most 32 culling blocks of other scenes may separate two scenes of a batch, so scenes ordered by
     /// kind need the fewest dispatches.
     /// To batch scenes in a host's buffer, adopt it once ([`Buffer::adopt`]) and give each scene a range of it. Scenes
@@ -68,7 +72,12 @@ impl DeviceScene {
     pub fn upload_all(context: &Context, scenes: &[&Gaussians]) -> Result<Vec<Self>> {
         let plan = |(index, gaussians): (usize, &&Gaussians)| {
             gaussians.check_shapes().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
-            ScenePlan::new(context.limits(), to_u32(gaussians.len() as u64)?, gaussians.sh_degree, false)
+            ScenePlan::new(
+                context.limits(),
+                to_u32(gaussians.len() as u64)?,
+                gaussians.sh_degree,
+                ShStorage::F32,
+            )
         };
         let plans = scenes.iter().enumerate().map(plan).collect::<Result<Vec<_>>>()?;
         let requests: Vec<_> = plans.iter().flat_map(planes::requests).collect();
@@ -93,7 +102,7 @@ impl DeviceScene {
         let plan = self.buffers.plan;
         let shared = |chunk: &Buffer| chunk.in_context(context).map_err(|error| error.of("scene"));
         let chunks = self.buffers.chunks.iter().map(shared).collect::<Result<_>>()?;
-        if plan != Self::plan_for(context, plan.capacity, plan.sh_degree, plan.half_sh)? {
+        if plan != Self::plan_for(context, plan.capacity, plan.sh_degree, plan.sh_storage)? {
             let problem = "the limits of the context ask for another plan of the scene's buffers";
             return Err(Error::argument("scene", problem));
         }
@@ -106,7 +115,7 @@ impl DeviceScene {
     /// # Errors
     /// [`Error::TooLarge`] or an allocation's failure.
     pub fn empty(context: &Context, capacity: u32, sh_degree: u32) -> Result<Self> {
-        let plan = Self::plan_for(context, capacity, sh_degree, false)?;
+        let plan = Self::plan_for(context, capacity, sh_degree, ShStorage::F32)?;
         let chunks = planes::allocate(context, "scene", MemoryKind::Device, &plan)?;
         Ok(Self::new(context, SceneBuffers { chunks, plan, count: 0 }))
     }
@@ -124,7 +133,7 @@ impl DeviceScene {
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |field: &str, problem: String| Err(Error::argument(field, problem));
         // A plan depends on the device's limits. Another device's plan would be bound and indexed wrongly.
-        let own = Self::plan_for(context, plan.capacity, plan.sh_degree, plan.half_sh);
+        let own = Self::plan_for(context, plan.capacity, plan.sh_degree, plan.sh_storage);
         if plan != own.map_err(|error| error.within("plan"))? {
             return bad("plan", "it is not the one that DeviceScene::plan_for makes on this device".into());
         }
@@ -157,15 +166,20 @@ impl DeviceScene {
         Ok(Self::new(context, SceneBuffers { chunks, plan, count }))
     }
 
-    /// Returns the layout of the parameters of `capacity` Gaussians on this device, with SH coefficients in halves if `half_sh`.
+    /// Returns the layout of the parameters of `capacity` Gaussians on this device.
     ///
     /// # Errors
     /// [`Error::TooLarge`] for a capacity above the range of indices, [`Error::Argument`] for an SH degree above 3.
-    pub fn plan_for(context: &Context, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<ScenePlan> {
+    pub fn plan_for(
+        context: &Context,
+        capacity: u32,
+        sh_degree: u32,
+        sh_storage: ShStorage,
+    ) -> Result<ScenePlan> {
         if sh_degree > 3 {
             return Err(Error::argument("sh_degree", format!("{sh_degree} is above 3")));
         }
-        ScenePlan::new(context.limits(), capacity, sh_degree, half_sh)
+        ScenePlan::new(context.limits(), capacity, sh_degree, sh_storage)
     }
 
     /// Returns the layout of the parameters.

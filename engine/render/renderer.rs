@@ -8,7 +8,9 @@ use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use super::updates::StagedUpdates;
 use crate::error::{Error, Result};
-use crate::frame::{Blending, FrameBuffers, RenderSettings, SceneBuffers, SceneSettings, Selection, planes};
+use crate::frame::{
+    Blending, FrameBuffers, RenderSettings, SceneBuffers, SceneSettings, Selection, ShStorage, planes,
+};
 use crate::passes::backward::Backward;
 use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
@@ -79,8 +81,16 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(&mut self, gaussians: &Gaussians) -> Result<()> {
+        self.upload_stored(gaussians, ShStorage::F32)
+    }
+
+    /// Same as [`Renderer::upload`], with this storage of SH ([`DeviceScene::upload_stored`]).
+    ///
+    /// # Errors
+    /// Same as [`Renderer::upload`].
+    pub fn upload_stored(&mut self, gaussians: &Gaussians, sh_storage: ShStorage) -> Result<()> {
         self.scenes.clear();
-        self.scenes.push(DeviceScene::upload(&self.context, gaussians, 0)?.buffers);
+        self.scenes.push(DeviceScene::upload_stored(&self.context, gaussians, 0, sh_storage)?.buffers);
         Ok(())
     }
 
@@ -112,10 +122,13 @@ impl Renderer {
     /// Returns the loaded scene, or an error if there are several, or if it can only be drawn. `what` names the operation.
     pub(super) fn only_scene(&self, what: &str) -> Result<SceneBuffers> {
         match loaded(&self.scenes)? {
-            (scene, []) if scene.plan.half_sh => Err(Error::argument(
-                "scenes",
-                format!("{what} of one with SH in floats, and this has halves"),
-            )),
+            (scene, []) if scene.plan.sh_storage != ShStorage::F32 => {
+                let stored = if scene.plan.sh_storage == ShStorage::Half { "halves" } else { "bytes" };
+                Err(Error::argument(
+                    "scenes",
+                    format!("{what} of one with SH in floats, and this has {stored}"),
+                ))
+            }
             (scene, []) => Ok(scene.clone()),
             (_, others) => {
                 let problem = format!("{what} of one alone, and {} are drawn", others.len() + 1);

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, Outputs, PictureCapacity, ScenePlan,
-    SceneSettings, SurfaceDepth, check_grids, initial_instances,
+    SceneSettings, ShStorage, SurfaceDepth, check_grids, initial_instances,
 };
 use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
@@ -71,8 +71,10 @@ pub struct Reservation {
     pub lens: Option<Projection>,
     /// True if frames will have cameras with a rolling shutter ([`Camera::shutter`](crate::Camera::shutter)), beside others.
     pub rolling_shutter: bool,
-    /// True if scenes of frames will store SH in halves ([`DeviceScene::upload_half`](super::DeviceScene::upload_half)), beside others.
+    /// True if scenes of frames will store SH in halves ([`DeviceScene::upload_stored`](super::DeviceScene::upload_stored)), beside others.
     pub half_sh: bool,
+    /// True if scenes of frames will store SH in bytes, beside others.
+    pub byte_sh: bool,
     /// True if all frames render into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then
     /// have no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -158,8 +160,7 @@ impl Reservation {
         // Kernels of motion and of surfaces belong to the projection, and depend on nothing but the cameras.
         let outputs = self.outputs();
         let plain = |projection| FrameVariant { projection, outputs, ..FrameVariant::default() };
-        let features: [Feature; 7] = [
-            (self.half_sh, |v| v.half_sh = true),
+        let features: [Feature; 6] = [
             (self.rolling_shutter, |v| v.shutter = v.projection != Projection::Orthographic),
             (self.filter_3d, |v| v.filter_3d = true),
             (self.tint, |v| v.tinted = true),
@@ -167,7 +168,13 @@ impl Reservation {
             (self.selection, |v| v.selection = true),
             (self.shared_sort, |v| v.shared_order = true),
         ];
-        combined(self.projections().map(plain).collect(), &features)
+        let stored = |variant: FrameVariant| {
+            let storages =
+                [(true, ShStorage::F32), (self.half_sh, ShStorage::Half), (self.byte_sh, ShStorage::Bytes)];
+            let reserved = storages.into_iter().filter(|(reserved, _)| *reserved);
+            reserved.map(move |(_, sh_storage)| FrameVariant { sh_storage, ..variant })
+        };
+        combined(self.projections().map(plain).flat_map(stored).collect(), &features)
     }
 
     /// Returns the projections of the frames' cameras.
@@ -220,7 +227,7 @@ impl Reservation {
 
     /// Checks that the features of a frame's scene are reserved.
     #[inline]
-    pub(super) fn check_scene(&self, index: usize, half_sh: bool, own: &SceneSettings) -> Result<()> {
+    pub(super) fn check_scene(&self, index: usize, stored: ShStorage, own: &SceneSettings) -> Result<()> {
         let lacks = |field: &str, what: &str| {
             Err(Error::argument(field_name(field), format!("not reserved, and scenes[{index}] has {what}")))
         };
@@ -230,8 +237,11 @@ impl Reservation {
         if own.mask().is_some() && !self.selection {
             return lacks("selection", "a selection");
         }
-        if half_sh && !self.half_sh {
+        if stored == ShStorage::Half && !self.half_sh {
             return lacks("half_sh", "SH in halves");
+        }
+        if stored == ShStorage::Bytes && !self.byte_sh {
+            return lacks("byte_sh", "SH in bytes");
         }
         Ok(())
     }
@@ -248,8 +258,8 @@ impl Reservation {
     pub(super) fn dispatches(&self, context: &Context, capacity: &FrameCapacity) -> Result<usize> {
         const PER_FRAME: u32 = 48;
         // Scenes may be stored with a higher degree than the evaluated one, in more chunks.
-        let plan = ScenePlan::new(context.limits(), self.gaussians, 3, false)
-            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree, false))
+        let plan = ScenePlan::new(context.limits(), self.gaussians, 3, ShStorage::F32)
+            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree, ShStorage::F32))
             .map_err(|error| error.of_field(field_name("gaussians")))?;
         // Per chunk of parameters: culling, projection, motion and surfaces. A scene's chunks may be half as large as others'.
         // Per scene: the ranges of its chunks.

@@ -150,7 +150,7 @@ impl FrameRunner {
         let variant = FrameVariant::of(settings, camera, backward);
         let variant = FrameVariant { last_entries: request.last_entries, ..variant };
         for scene in std::iter::once(scene).chain(other_scenes) {
-            forward.prepare(sh_degree, variant.of_scene(scene.plan.half_sh, request.of_scenes))?;
+            forward.prepare(sh_degree, variant.of_scene(scene.plan.sh_storage, request.of_scenes))?;
         }
         let scenes = request.scenes();
         let mut retries = 0;
@@ -185,7 +185,7 @@ impl FrameRunner {
         settings: &RenderSettings,
     ) -> Result<()> {
         for variant in FrameVariant::of_cameras(settings, cameras, true) {
-            let variant = FrameVariant { half_sh: plan.half_sh, ..variant };
+            let variant = FrameVariant { sh_storage: plan.sh_storage, ..variant };
             (0..=sh_degree).try_for_each(|degree| self.forward.prepare(degree, variant))?;
         }
         let gaussians = gaussians_with(plan.capacity, frozen_capacity(frozen));

@@ -5,13 +5,13 @@ use super::parts::{BuiltParts, Forecast};
 use super::photos::{PhotoBytes, PhotoSize};
 use super::poses;
 use super::schedule::{IterationPlan, TrainingRun, whole_instances};
-use super::settings::{MomentsType, ShStorage, TrainSettings};
+use super::settings::{MomentsType, TrainSettings};
 use super::step::StepRecorder;
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan,
-    check_grids, frame_fits_device, gaussians_with, initial_instances, initial_visible, max_trained_among,
-    max_trained_gaussians, planes,
+    ShStorage, check_grids, frame_fits_device, gaussians_with, initial_instances, initial_visible,
+    max_trained_among, max_trained_gaussians, planes,
 };
 use crate::kernels::constants::PLANE_SH;
 use crate::passes::adam::Moments;
@@ -89,7 +89,7 @@ pub(super) struct RowMemory {
     /// Memory kind of parameters and moments.
     pub planes: MemoryKind,
     packed_moments: bool,
-    half_sh: bool,
+    sh_storage: ShStorage,
 }
 
 impl RowMemory {
@@ -99,13 +99,13 @@ impl RowMemory {
             parameter_gradients,
             planes,
             packed_moments: settings.moments == MomentsType::Packed,
-            half_sh: settings.sh_storage == ShStorage::Half,
+            sh_storage: settings.sh_storage,
         }
     }
 
     /// Plan of a set of Gaussians.
     pub fn plan(&self, context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
-        ScenePlan::new(context.limits(), capacity, sh_degree, self.half_sh)
+        ScenePlan::new(context.limits(), capacity, sh_degree, self.sh_storage)
     }
 
     /// One buffer per chunk; none without terms that depend on the parameters directly.

@@ -35,7 +35,7 @@ pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};
 pub use record::{Maintenance, RecordedStep, StepReservation};
 pub use settings::{
-    ImportanceType, MomentsType, OptimizerType, Preset, ShStorage, SplitType, StrategyType, TrainSettings,
+    ImportanceType, MomentsType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings,
 };
 pub use step::{StepOutcome, StepReport};
 pub use strategy::{

@@ -5,6 +5,7 @@
 //! [`TrainSettings::OPTIONS`] or serde.
 
 use crate::error::{Error, Result};
+use crate::frame::ShStorage;
 use crate::scene::gaussians::MAX_SH_DEGREE;
 use crate::scene::{Camera, Gaussians, Projection};
 
@@ -30,6 +31,18 @@ macro_rules! choices {
     )*};
 }
 
+/// Training stores floats or halves.
+impl IsOption for ShStorage {
+    const KIND: OptionKind = OptionKind::Choice(&["f32", "half"]);
+    fn value(self) -> OptionValue {
+        OptionValue::Choice(match self {
+            Self::F32 => "f32",
+            Self::Half => "half",
+            Self::Bytes => "bytes",
+        })
+    }
+}
+
 choices! {
     /// Optimiser of the parameters.
     OptimizerType {
@@ -48,16 +61,6 @@ choices! {
         /// Two bytes per SH coefficient and four per other parameter, rounded at random (packed_moments.glsl): 144 bytes per
         /// Gaussian of SH degree 3 in place of 480.
         Packed = "packed",
-    }
-
-    /// Storage of SH coefficients while training. The program's files have floats.
-    ShStorage {
-        /// A float32 each.
-        #[default]
-        F32 = "f32",
-        /// A half each, which each step rounds up or down at random: 96 bytes per Gaussian of SH degree 3 in place of 192. Takes
-        /// packed moments.
-        Half = "half",
     }
 
     /// Strategy of density control. A host can supply its own: [`super::TrainParts`].
@@ -613,6 +616,9 @@ impl TrainSettings {
         }
         if self.depth_points > 0.0 {
             self.refuse_warm_up_with("depth_points")?;
+        }
+        if self.sh_storage == ShStorage::Bytes {
+            return Err(Error::argument("sh_storage", "is bytes, which are only for drawing: give half"));
         }
         if self.sh_storage == ShStorage::Half && self.moments != MomentsType::Packed {
             return Err(Error::argument(

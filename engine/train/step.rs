@@ -5,13 +5,13 @@ use super::memory::Model;
 use super::photos::{DepthMaps, Photos};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, TrainingRun, WARM_UP_FACTORS};
-use super::settings::{MomentsType, OptimizerType, ShStorage, TrainSettings};
+use super::settings::{MomentsType, OptimizerType, TrainSettings};
 use super::strategy::Densified;
 use super::strategy::{StepInputs, Strategy};
 use crate::error::Result;
 use crate::frame::{
     FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, RenderSettings, SceneBuffers, SceneSettings,
-    Strips, array_of, blocks,
+    ShStorage, Strips, array_of, blocks,
 };
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
@@ -34,7 +34,7 @@ pub(super) struct StepRecorder {
     appearance: Appearance,
     backward: Backward,
     /// True if the scene stores SH in halves.
-    half_sh: bool,
+    sh_storage: ShStorage,
     /// Render settings of frames, without the depths of the loss terms.
     base_settings: RenderSettings,
     /// See [`Strategy::absolute_gradients`].
@@ -135,7 +135,7 @@ impl StepRecorder {
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
-            half_sh: settings.sh_storage == ShStorage::Half,
+            sh_storage: settings.sh_storage,
             base_settings: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
             terms,
@@ -186,7 +186,7 @@ impl StepRecorder {
     /// Builds the missing kernels of any iteration at an SH degree.
     pub fn prepare(&mut self, sh_degree: u32, cameras: &[Camera]) -> Result<()> {
         for variant in FrameVariant::of_cameras(&self.base_settings(), cameras, true) {
-            let variant = FrameVariant { half_sh: self.half_sh, ..variant };
+            let variant = FrameVariant { sh_storage: self.sh_storage, ..variant };
             self.backward.prepare(sh_degree, variant, self.backward_form(false))?;
             if self.absolute {
                 self.backward.prepare(sh_degree, variant, self.backward_form(true))?;
@@ -198,8 +198,8 @@ impl StepRecorder {
 
     /// Builds the missing kernels of this iteration: a short or resumed run needs few of them.
     pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
-        let half_sh = self.half_sh;
-        let variant = FrameVariant { half_sh, ..FrameVariant::of(&plan.settings, &plan.camera, true) };
+        let sh_storage = self.sh_storage;
+        let variant = FrameVariant { sh_storage, ..FrameVariant::of(&plan.settings, &plan.camera, true) };
         let absolute = self.absolute && plan.work.accumulates;
         self.backward.prepare(plan.sh_degree, variant, self.backward_form(absolute))?;
         self.optimizer.prepare(plan.sh_degree, variant)

@@ -27,6 +27,7 @@
 
 #include "constants.glsl"
 #include "buffers.glsl"
+#include "sh_storage.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
@@ -49,9 +50,8 @@ layout(constant_id = 9) const bool Z_RECORD = false;
 layout(constant_id = 10) const bool SH_LOOPS = false;
 // Projection of the camera: see pinhole.glsl.
 layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
-// True if the scene stores its SH coefficients in halves.
-layout(constant_id = 12) const bool HALF_SH = false;
-#define HALVES
+// Storage of the scene's SH coefficients: see sh_storage.glsl.
+layout(constant_id = 12) const uint SH_STORAGE = 0;
 #ifdef LENSES
 // True if the parameters of a lens have gradients.
 layout(constant_id = 13) const bool LENS_GRADIENT = false;

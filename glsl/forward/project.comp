@@ -15,6 +15,7 @@
 
 #include "constants.glsl"
 #include "buffers.glsl"
+#include "sh_storage.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
@@ -33,9 +34,8 @@ layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 // True if the list has Gaussians of other views.
 layout(constant_id = 10) const bool SHARED_ORDER = false;
-// True if the scene stores its SH coefficients in halves.
-layout(constant_id = 11) const bool HALF_SH = false;
-#define HALVES
+// Storage of the scene's SH coefficients: see sh_storage.glsl.
+layout(constant_id = 11) const uint SH_STORAGE = 0;
 #ifdef LENSES
 // True for a rolling shutter: see shutter.glsl.
 layout(constant_id = 12) const bool SHUTTER = false;

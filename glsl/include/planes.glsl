@@ -51,6 +51,11 @@ uint half_plane_at(uint plane, uint index, uint gaussians) {
     return place_in(uvec3(first * gaussians, end - first, plane - first), index);
 }
 
+// Same as plane_at for an SH plane of a scene with SH in bytes: each is stored alone.
+uint byte_plane_at(uint plane, uint index, uint gaussians) {
+    return place_in(uvec3(plane * gaussians, 1, 0), index);
+}
+
 // Same as plane_at, but for a geometry plane. Geometry comes first, so the index does not depend on the chunk's capacity.
 uint geometry_at(uint plane, uint index) {
     return plane_at(plane, index, 0);

@@ -1,14 +1,25 @@
 // Reads active SH coefficients of one Gaussian from its planes: coefficient k is floats 3 k to 3 k + 2.
-// Needs sh.glsl, planes.glsl, `parameters`, `chunk_gaussians`; kernels of drawing define HALVES and have HALF_SH: true for a scene
-// that stores SH in halves.
+// Needs sh.glsl, planes.glsl, `parameters`, `chunk_gaussians`; kernels that read scenes of other storages include sh_storage.glsl and
+// have SH_STORAGE.
 
-// A stored plane.
+// Four floats of a Gaussian's coefficients.
 vec4 stored_sh_plane(uint plane, uint index) {
-#ifdef HALVES
-    if (HALF_SH) {
+#ifdef SH_STORAGES
+    if (SH_STORAGE == SH_HALVES) {
         uvec4 pair = floatBitsToUint(VEC4_AT(parameters, half_plane_at(PLANE_SH + plane / 2, index, chunk_gaussians)));
         uvec2 own = plane % 2 == 0 ? pair.xy : pair.zw;
         return vec4(unpackHalf2x16(own.x), unpackHalf2x16(own.y));
+    }
+    if (SH_STORAGE == SH_BYTES) {
+        vec4 base_and_step = VEC4_AT(parameters, byte_plane_at(PLANE_SH, index, chunk_gaussians));
+        vec4 value = vec4(0.0);
+        if (SH_DEGREE > 0) {
+            uint place = byte_plane_at(PLANE_SH + 1 + plane / 4, index, chunk_gaussians);
+            int bytes = floatBitsToInt(VEC4_AT(parameters, place)[plane % 4]);
+            ivec4 steps = ivec4(bytes << 24, bytes << 16, bytes << 8, bytes) >> 24;
+            value = base_and_step.w * vec4(steps);
+        }
+        return plane == 0 ? vec4(base_and_step.xyz, value.w) : value;
     }
 #endif
     return VEC4_AT(parameters, plane_at(PLANE_SH + plane, index, chunk_gaussians));

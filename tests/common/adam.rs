@@ -4,7 +4,7 @@ use super::engine;
 use super::gpu::Gpu;
 use super::layout::{pack, plane_capacity, planes as planes_of, unpack};
 use crate::reference::types::Gaussian;
-use ashsplat::frame::{SceneBuffers, ScenePlan, planes};
+use ashsplat::frame::{SceneBuffers, ScenePlan, ShStorage, planes};
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
 use ashsplat::kernels::optimizer::adam::{self, Push};
@@ -129,7 +129,8 @@ impl<'a> AdamState<'a> {
     /// Keeps SH coefficients in halves, rounded to the nearest at first.
     pub fn halves(self) -> AdamState<'a> {
         let (context, gaussians) = (&self.gpu.context, engine::gaussians(&self.gaussians()));
-        let plan = ScenePlan::new(context.limits(), self.capacity as u32, gaussians.sh_degree, true);
+        let plan =
+            ScenePlan::new(context.limits(), self.capacity as u32, gaussians.sh_degree, ShStorage::Half);
         let scene =
             planes::upload_planned(context, "scene", MemoryKind::Device, &gaussians, plan.expect("a plan"))
                 .expect("a scene");

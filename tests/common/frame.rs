@@ -13,6 +13,7 @@ use crate::reference::tiles::{alpha_unclamped, touched, touches_by_pixels};
 use crate::reference::types::{
     ALPHA_MAX, ALPHA_MIN, Extent, Gaussian, Selection, Splat, TRANSMITTANCE_MIN, View,
 };
+use ashsplat::frame::ShStorage;
 use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_INSTANCES, STATE_VISIBLE};
 use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
@@ -68,7 +69,7 @@ impl Projected {
             lenses: false,
             sh_loops: gpu.limits().tuning.sh_loops,
             shared_order,
-            half_sh: false,
+            sh_storage: ShStorage::F32 as u32,
             shutter: false,
         };
         let splat = |(i, gaussian): (usize, &Gaussian)| {

@@ -2,7 +2,9 @@
 
 pub use ashsplat::train::{Checkpoint, StepReport, StrategyType, TrainView, Trainer};
 pub use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, SpecOverride};
-pub use ashsplat::{Camera, Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
+pub use ashsplat::{
+    Camera, Error, Frame, Gaussians, RenderSettings, Renderer, Result, ShStorage, TrainSettings,
+};
 pub use ashsplat_files::{CheckpointFile, Photo};
 pub use glam::Vec3;
 pub use tempfile::tempdir;

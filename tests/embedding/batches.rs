@@ -140,7 +140,7 @@ fn batches_of_instances_are_seen_by_several_views() {
 fn batches_of_a_hosts_buffer_are_of_one_adoption() {
     with_guest(|host, context| {
         let clouds: Vec<_> = (0..12).map(|number| cloud(20, number)).collect();
-        let plan = DeviceScene::plan_for(&context, 20, 1, false).expect("a plan");
+        let plan = DeviceScene::plan_for(&context, 20, 1, ShStorage::F32).expect("a plan");
         let stride = plan.chunk_bytes().next_multiple_of(256);
         let own = Staging::new(host, 12 * stride);
         // SAFETY: the buffer is the host's, of this size, and outlives the scenes. Uses of overlapping ranges are apart in time.

@@ -70,7 +70,7 @@ fn a_pose_scales_a_scene() {
 fn a_scene_may_lie_in_the_hosts_buffers() {
     with_guest(|host, context| {
         let gaussians = cloud(300, 8);
-        let plan = DeviceScene::plan_for(&context, 300, 1, false).expect("a plan");
+        let plan = DeviceScene::plan_for(&context, 300, 1, ShStorage::F32).expect("a plan");
         assert_eq!(plan.chunks, 1);
         let bytes = plan.chunk_bytes() + 4096;
         let own = Staging::new(host, bytes);
@@ -128,7 +128,7 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
     with_host(&options(), |host| {
         let context = guest_of_small_bindings(host);
         let gaussians = cloud(600, 8);
-        let plan = DeviceScene::plan_for(&context, 1200, 1, false).expect("a plan");
+        let plan = DeviceScene::plan_for(&context, 1200, 1, ShStorage::F32).expect("a plan");
         assert_eq!(plan.chunks, 2, "{plan:?}");
         let own = [0; 2].map(|_| Staging::new(host, 1 << 20));
         own[0].write(&planes(&gaussians, plan.chunk_gaussians as usize));

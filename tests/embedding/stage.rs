@@ -13,7 +13,7 @@ pub use ashsplat::vk::{
 pub use ashsplat::{
     Background, Blending, ColorEncoding, DepthTarget, DeviceScene, Error, Frame, HostImage, MotionTarget,
     Occluder, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation, SceneSettings,
-    Selection, SlotReport, Target, TrainSettings, Update,
+    Selection, ShStorage, SlotReport, Target, TrainSettings, Update,
 };
 pub use glam::{Mat3, Quat, Vec3};
 pub use std::ffi::{CStr, c_void};

@@ -4,8 +4,8 @@ use crate::stage::*;
 use ashsplat::frame::LEAST_VISIBLE;
 use ashsplat::scene::Bounds;
 use ashsplat::train::{
-    MomentsType, OptimizerType, Preset, SceneBlock, ShStorage, SplitType, StepOutcome, StepReservation,
-    StrategyType, TrainParts, Trainer,
+    MomentsType, OptimizerType, Preset, SceneBlock, SplitType, StepOutcome, StepReservation, StrategyType,
+    TrainParts, Trainer,
 };
 use ashsplat::{StepReport, TrainView};
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};

@@ -1,7 +1,8 @@
 //! `ashsplat info`.
 
+use ashsplat::ShStorage;
 use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
-use ashsplat::train::{Forecast, MomentsType, ShStorage, TrainSettings};
+use ashsplat::train::{Forecast, MomentsType, TrainSettings};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, DatasetReport, Gallery, quoted, splats};

@@ -136,7 +136,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(&scene.gaussians)?;
+    renderer.upload_stored(&scene.gaussians, arguments.look.stored(&scene.gaussians))?;
     if let (Some(note), false) = (&views.note, arguments.quiet) {
         say!("{note}");
     }
@@ -149,7 +149,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let start = Instant::now();
         let named = &views.cameras[index];
         if let Some(tiles) = tiles.as_mut().map(|tiles| tiles.wanted(&named.camera)).transpose()?.flatten() {
-            renderer.upload(&tiles)?;
+            renderer.upload_stored(&tiles, arguments.look.stored(&tiles))?;
         }
         let mut frame = renderer.render(&named.camera, &settings)?;
         appearance.apply(&named.camera, &mut frame);

@@ -4,8 +4,10 @@ use super::measure::{Iteration, Iterations, Measured, Measurement};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::traffic::{Counts, Traffic};
 use super::workload::Scene;
+use super::workload::Storage;
 use super::{forms, synthetic};
 use ashsplat::frame::ScenePlan;
+use ashsplat::train::MomentsType;
 use ashsplat::vk::{Context, Profile};
 use ashsplat::{
     BlendSamples, Blending, FrameStats, RenderSettings, Renderer, Result, StepReport, TrainSettings,
@@ -176,7 +178,8 @@ impl<'a> Subject<'a> {
             0 | 1 => name.to_owned(),
             _ => format!("{name}-{}", forms::name(form)),
         };
-        let counts = counts(self.context, gaussians, g.sh_degree, (camera.width, camera.height))?;
+        let counts =
+            counts(self.context, gaussians, g.sh_degree, (camera.width, camera.height), scene.storage)?;
         let counts = counts.seen(seen.visible, seen.instances);
         let workload = Workload {
             longest_tile: Some(seen.longest_tile),
@@ -227,10 +230,23 @@ fn counts(
     [gaussians, capacity]: [u32; 2],
     sh_degree: u32,
     (width, height): (u32, u32),
+    storage: Storage,
 ) -> Result<Counts> {
-    let plan = ScenePlan::new(context.limits(), capacity, sh_degree, false)?;
+    let sh_storage = storage.sh_storage;
+    let plan = ScenePlan::new(context.limits(), capacity, sh_degree, sh_storage)?;
     let chunks = plan.ranges(gaussians).count() as u64;
-    Ok(Counts { gaussians, visible: 0, instances: 0, width, height, sh_degree, chunks })
+    let packed_moments = storage.moments() == MomentsType::Packed;
+    let counts = Counts {
+        gaussians,
+        width,
+        height,
+        sh_degree,
+        sh_storage,
+        packed_moments,
+        chunks,
+        ..Counts::default()
+    };
+    Ok(counts)
 }
 
 /// Counts of a training step.
@@ -240,7 +256,7 @@ pub fn step_counts(
     sh_degree: u32,
     size: (u32, u32),
 ) -> Result<Counts> {
-    let counts = counts(context, trained(report.gaussians), sh_degree, size)?;
+    let counts = counts(context, trained(report.gaussians), sh_degree, size, Storage::default())?;
     Ok(counts.seen(report.visible, report.instances))
 }
 
@@ -260,7 +276,7 @@ pub fn result(
 /// The renderer of a scene.
 pub fn renderer(context: &Context, scene: &Scene) -> Result<Renderer> {
     let mut renderer = Renderer::new(context)?;
-    renderer.upload(&scene.gaussians)?;
+    renderer.upload_stored(&scene.gaussians, scene.storage.sh_storage)?;
     Ok(renderer)
 }
 
@@ -288,7 +304,11 @@ fn trainer(context: &Context, plan: &Plan) -> Result<Trainer> {
             (synthetic::disturbed(&scene.gaussians, *seed), TrainView::new(scene.camera, photo))
         }
     };
-    let settings = steady_settings(scene.gaussians.sh_degree, *seed);
+    let settings = TrainSettings {
+        moments: scene.storage.moments(),
+        sh_storage: scene.storage.sh_storage,
+        ..steady_settings(scene.gaussians.sh_degree, *seed)
+    };
     let mut trainer = Trainer::new(context, vec![view], &start, scene.scene_extent, settings)?;
     for _ in 0..=scene.gaussians.sh_degree {
         trainer.step()?;

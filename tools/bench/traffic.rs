@@ -4,7 +4,7 @@
 //! frame's own counts. A kernel that reads elements several times, such as blending, moves more than this through its caches. A
 //! kernel at 100 % of the device's copy bandwidth can become faster only by moving less.
 
-use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, parameter_planes};
+use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, ShStorage};
 use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
 use std::collections::HashMap;
 
@@ -26,6 +26,9 @@ pub struct Counts {
     pub height: u32,
     /// Evaluated SH degree.
     pub sh_degree: u32,
+    pub sh_storage: ShStorage,
+    /// True if Adam's moments are packed: then they have as many planes as parameters with SH in halves.
+    pub packed_moments: bool,
     /// Number of dispatches that share the Gaussians' planes.
     pub chunks: u64,
 }
@@ -110,7 +113,7 @@ impl Traffic {
             return buffer.bytes;
         }
         // Kernels that read parameters have one dispatch for each chunk.
-        let planes = self.planes(command.name, counts);
+        let planes = self.planes(command.name, buffer.role, counts);
         let dispatches = planes.map_or(1, |_| counts.chunks.max(1));
         let used = match (buffer.name, command.scope) {
             // Off in measured workloads; some other buffer is bound instead.
@@ -133,12 +136,22 @@ impl Traffic {
     }
 
     /// Bytes of the planes that hold parameters or moments, in all dispatches.
-    fn planes(&self, kernel: &str, counts: &Counts) -> Option<u64> {
-        let all = u64::from(parameter_planes(counts.sh_degree));
+    fn planes(&self, kernel: &str, role: &str, counts: &Counts) -> Option<u64> {
+        let planes = |stored: ShStorage| u64::from(stored.planes(counts.sh_degree));
+        let all = planes(counts.sh_storage);
         let (gaussians, planes) = match kernel {
             "forward/cull" => (counts.gaussians, GEOMETRY_PLANES),
             "forward/project" | "backward/project_backward" => (counts.visible, all),
-            "optimizer/adam" => (counts.gaussians, all),
+            "optimizer/adam" if role.contains("parameters") => (counts.gaussians, all),
+            "optimizer/adam" => (
+                counts.gaussians,
+                match (counts.packed_moments, role.contains('1')) {
+                    (false, _) => planes(ShStorage::F32),
+                    (true, true) => planes(ShStorage::Half),
+                    // The second moments are in the buffers of the first.
+                    (true, false) => 0,
+                },
+            ),
             _ => return None,
         };
         Some(u64::from(gaussians) * planes * VEC4)

@@ -4,11 +4,12 @@ use super::schema::Workload;
 use super::synthetic;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, WorldFrame};
-use ashsplat::{Error, RenderSettings, Result, TrainView};
+use ashsplat::train::MomentsType;
+use ashsplat::{Error, RenderSettings, Result, ShStorage, TrainView};
 use ashsplat_files::cameras_json;
 use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress, splats};
 use ashsplat_program::args::HostArguments;
-use ashsplat_program::look::orbit_around;
+use ashsplat_program::look::{orbit_around, parse_sh_storage};
 use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
@@ -75,6 +76,7 @@ impl SyntheticArguments {
             camera: synthetic::camera(width, height),
             view: None,
             scene_extent: 2.5,
+            storage: Storage::default(),
             source: format!("synthetic, seed {seed}"),
         };
         scene.checked()
@@ -98,6 +100,38 @@ pub struct SceneArguments {
     /// View of the data set, by place in the order of names
     #[arg(long, value_name = "N", default_value_t = 0, requires = "dataset")]
     view: usize,
+    #[command(flatten)]
+    storage: Storage,
+}
+
+/// Storage of Gaussians on the device.
+#[derive(Args, Clone, Copy, Default)]
+pub struct Storage {
+    /// Storage of SH: f32, half or bytes; train-step has no bytes, and its halves take packed moments
+    #[arg(long, value_name = "STORAGE", default_value = "f32", value_parser = parse_sh_storage)]
+    pub sh_storage: ShStorage,
+    /// Train-step with packed moments of Adam
+    #[arg(long)]
+    packed_moments: bool,
+}
+
+impl Storage {
+    /// What a report says behind the scene.
+    fn note(self) -> String {
+        let moments = if self.packed_moments { ", packed moments" } else { "" };
+        match self.sh_storage {
+            ShStorage::F32 => moments.into(),
+            stored => format!(", SH as {stored:?}{moments}").to_lowercase(),
+        }
+    }
+
+    /// Storage of Adam's moments.
+    pub fn moments(self) -> MomentsType {
+        match self.packed_moments {
+            true => MomentsType::Packed,
+            false => MomentsType::F32,
+        }
+    }
 }
 
 /// A scene and its camera.
@@ -107,6 +141,7 @@ pub struct Scene {
     /// The data set's photo of the view.
     pub view: Option<TrainView>,
     pub scene_extent: f32,
+    pub storage: Storage,
     source: String,
 }
 
@@ -119,6 +154,7 @@ impl SceneArguments {
             camera: camera.map(str::to_owned),
             dataset: None,
             view: 0,
+            storage: Storage::default(),
         }
     }
 
@@ -134,9 +170,9 @@ impl SceneArguments {
                     None => overview(&gaussians),
                 };
                 let source = trained.display().to_string();
-                Scene { gaussians, camera, view: None, scene_extent: 1.0, source }
+                Scene { gaussians, camera, view: None, scene_extent: 1.0, storage: self.storage, source }
             }
-            (None, None) => return self.synthetic.load(),
+            (None, None) => return Ok(Scene { storage: self.storage, ..self.synthetic.load()? }),
         };
         let (own_width, own_height) = (scene.camera.width, scene.camera.height);
         let width = self.synthetic.width.unwrap_or(own_width);
@@ -209,7 +245,7 @@ impl SceneArguments {
                 ashsplat_files::initial_gaussians(&points.unwrap_or_default(), self.synthetic.sh_degree())?
             }
         };
-        Ok(Scene { gaussians, camera, view, scene_extent, source })
+        Ok(Scene { gaussians, camera, view, scene_extent, storage: self.storage, source })
     }
 }
 
@@ -268,7 +304,7 @@ impl Scene {
             }
         }
         Workload {
-            source: self.source.clone(),
+            source: format!("{}{}", self.source, self.storage.note()),
             hash: hash.hex(),
             gaussians: Some(g.len() as u32),
             sh_degree: Some(g.sh_degree),

@@ -5,7 +5,7 @@ use crate::kept::{List, collected};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Gaussians, Inside, MAX_CUT_OUTS, Volume};
 use ashsplat::vk::Buffer;
-use ashsplat::{Placed, Reservation, SceneSettings, Selection, Update};
+use ashsplat::{Placed, Reservation, SceneSettings, Selection, ShStorage, Update};
 use glam::Vec3;
 
 /// The shape of a volume.
@@ -259,20 +259,6 @@ fn replace<T: Clone>(own: &mut Vec<T>, values: &[T]) {
     own.extend_from_slice(values);
 }
 
-/// Makes a scene of a host's arrays by `upload`. The promise is that of [`ashsplat_scene_new`].
-unsafe fn uploaded(
-    context: *const AshsplatContext,
-    gaussians: *const AshsplatGaussians,
-    capacity: u32,
-    scene: *mut *mut AshsplatScene,
-    upload: fn(&Context, &Gaussians, u32) -> Result<DeviceScene>,
-) -> AshsplatStatus {
-    guarded!({
-        let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
-        give(scene, "scene", || upload(&context.0, &self::gaussians(&host)?, capacity).map(AshsplatScene::of))
-    })
-}
-
 /// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
 /// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not
 /// checked:
@@ -288,23 +274,44 @@ pub unsafe extern "C" fn ashsplat_scene_new(
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
     // SAFETY: as promised.
-    unsafe { uploaded(context, gaussians, capacity, scene, DeviceScene::upload) }
+    unsafe { ashsplat_scene_stored(context, gaussians, capacity, AshsplatShStorage::F32 as u32, scene) }
 }
 
-/// Same as ashsplat_scene_new, with SH coefficients as halves, each rounded to the nearest: 144 bytes per Gaussian of SH degree 3 in
-/// place of 240. Such a scene can only be drawn. Frames that are recorded need AshsplatReservation.half_sh.
+/// Storage of a scene's SH coefficients on the device.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatShStorage {
+    /// Floats: a Gaussian of SH degree 3 takes 240 bytes with its other parameters.
+    F32 = 0,
+    /// Halves, each rounded to the nearest: 144 bytes. Frames that are recorded need AshsplatReservation.half_sh.
+    Half = 1,
+    /// Bytes, but floats for the base colour: 112 bytes. Exact where all other coefficients of a Gaussian are multiples of 1/128 from -1
+    /// to 1, as in SPZ files, otherwise rounded to steps of the largest / 127. Frames that are recorded need
+    /// AshsplatReservation.byte_sh.
+    Bytes = 2,
+}
+
+/// Same as ashsplat_scene_new, with an AshsplatShStorage. Only a scene of floats can be differentiated.
 ///
 /// # Safety
 /// As ashsplat_scene_new.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_scene_half(
+pub unsafe extern "C" fn ashsplat_scene_stored(
     context: *const AshsplatContext,
     gaussians: *const AshsplatGaussians,
     capacity: u32,
+    sh_storage: u32,
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    unsafe { uploaded(context, gaussians, capacity, scene, DeviceScene::upload_half) }
+    guarded!({
+        let all = [ShStorage::F32, ShStorage::Half, ShStorage::Bytes];
+        let Some(stored) = all.get(sh_storage as usize) else {
+            return Err(Error::argument("sh_storage", format!("{sh_storage} is none of AshsplatShStorage")));
+        };
+        let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
+        let upload = || DeviceScene::upload_stored(&context.0, &self::gaussians(&host)?, capacity, *stored);
+        give(scene, "scene", || upload().map(AshsplatScene::of))
+    })
 }
 
 /// Uploads `count` scenes from a host's arrays into as few buffers as kernels can bind, each with room for its own Gaussians: frames
@@ -371,7 +378,8 @@ pub unsafe extern "C" fn ashsplat_scene_plan(
     plan: *mut AshsplatScenePlan,
 ) -> AshsplatStatus {
     guarded!({
-        let made = DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree, false)?;
+        let made =
+            DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree, ShStorage::F32)?;
         let measures = same_fields!(made => AshsplatScenePlan { chunks, planes, chunk_gaussians } with {
             chunk_bytes: made.chunk_bytes(),
             ..AshsplatScenePlan::default()
@@ -408,7 +416,7 @@ pub unsafe extern "C" fn ashsplat_scene_from_buffers(
             };
             let adopt = |(place, b)| adopt(b).map_err(named(format_args!("buffers[{place}]")));
             let chunks: Result<Vec<Buffer>> = buffers.iter().enumerate().map(adopt).collect();
-            let plan = DeviceScene::plan_for(context, capacity, sh_degree, false)?;
+            let plan = DeviceScene::plan_for(context, capacity, sh_degree, ShStorage::F32)?;
             let scene = DeviceScene::from_buffers(context, plan, chunks?, count)?;
             Ok(AshsplatScene::of(scene))
         })

@@ -363,8 +363,10 @@ pub struct AshsplatReservation {
     pub lens: u64,
     /// Not 0: frames will have cameras with a rolling shutter (AshsplatCamera.readout), beside others.
     pub rolling_shutter: u64,
-    /// Not 0: scenes of frames will store SH in halves (ashsplat_scene_half), beside others.
+    /// Not 0: scenes of frames will store SH in halves (ashsplat_scene_stored), beside others.
     pub half_sh: u64,
+    /// Not 0: scenes of frames will store SH in bytes, beside others.
+    pub byte_sh: u64,
     /// 0: frames will have no surfaces. Else 1 + the AshsplatSurfaceDepth of all of them: 16 bytes of memory per pixel and 16 per
     /// Gaussian.
     pub surface: u64,
@@ -396,6 +398,7 @@ impl AshsplatReservation {
             filter_3d: w.filter_3d != 0,
             rolling_shutter: w.rolling_shutter != 0,
             half_sh: w.half_sh != 0,
+            byte_sh: w.byte_sh != 0,
             surface,
             lens: Some(lens).filter(|lens| lens.is_lens()),
             ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)

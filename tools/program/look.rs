@@ -4,7 +4,7 @@ use crate::args::HostArguments;
 use crate::config::Settings;
 use ashsplat::kernels::constants::NEAR_PLANE;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
-use ashsplat::{Error, Extent, RenderSettings, Result};
+use ashsplat::{Error, Extent, RenderSettings, Result, ShStorage};
 use ashsplat_files::splats::{self, ReadOptions, Target};
 use ashsplat_files::text::numbers;
 use ashsplat_files::tiles::{TILESET_FILE, Tree};
@@ -35,9 +35,17 @@ pub struct LookArguments {
     /// Low-pass filter: variance added on the screen, square pixels [default: as in training, or as the file says, else 0.3]
     #[arg(long, value_name = "PX2")]
     kernel_size: Option<f32>,
+    /// Storage of SH on the device: halves and bytes are rounded, unless the file has such values [default: the smallest that is exact]
+    #[arg(long, value_name = "STORAGE", value_parser = parse_sh_storage)]
+    pub sh_storage: Option<ShStorage>,
 }
 
 impl LookArguments {
+    /// Storage of a scene's SH on the device.
+    pub fn stored(&self, gaussians: &Gaussians) -> ShStorage {
+        self.sh_storage.unwrap_or_else(|| ShStorage::lossless(gaussians))
+    }
+
     /// Reads the Gaussians in their drawing frame; reports dropped ones and oddities on stderr.
     pub fn load(&self, path: &Path, host: &HostArguments) -> Result<splats::Scene> {
         let scene = splats::read(path, &host.reading(self.drop_invalid))?;
@@ -103,6 +111,16 @@ pub fn parse_direction(text: &str) -> Result<Vec3, String> {
     match parse_vector(text)?.as_dvec3().try_normalize() {
         Some(direction) => Ok(direction.as_vec3()),
         None => Err("expected a direction: three numbers that are not all 0".into()),
+    }
+}
+
+/// Parses a storage of SH.
+pub fn parse_sh_storage(text: &str) -> Result<ShStorage, String> {
+    match text {
+        "f32" => Ok(ShStorage::F32),
+        "half" => Ok(ShStorage::Half),
+        "bytes" => Ok(ShStorage::Bytes),
+        _ => Err("expected f32, half or bytes".into()),
     }
 }
 

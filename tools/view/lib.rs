@@ -179,7 +179,7 @@ impl<'a> Stage<'a> {
         let mut loading = scene.map(request).map(begin).transpose()?;
         // The device opens while the scene is read.
         let context = arguments.device.context()?;
-        let mut scenery = Scenery::new(Renderer::new(&context)?);
+        let mut scenery = Scenery::new(Renderer::new(&context)?, arguments.look.sh_storage);
         let mut render_thread = RenderThread::new(hub.clone(), RenderSettings::default(), out);
         let first = loading.take().map_or_else(|| Ok(Subject::nothing()), |loading| loading.finish().1)?;
         let mut shown = first.shown();

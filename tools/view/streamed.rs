@@ -10,7 +10,8 @@ use super::subject::{ScenePart, Streamed};
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Buffer, MemoryKind};
 use ashsplat::{
-    Camera, DeviceScene, Error, Frame, PixelReport, RenderSettings, Renderer, Result, Selection, TileReport,
+    Camera, DeviceScene, Error, Frame, PixelReport, RenderSettings, Renderer, Result, Selection, ShStorage,
+    TileReport,
 };
 use ashsplat_files::tiles::{Demand, Tree};
 use loader::Loader;
@@ -28,6 +29,8 @@ pub struct Scenery {
     mask: Option<Buffer>,
     /// True if the next picture shows the selection.
     shows_selection: bool,
+    /// Storage of SH; none for the smallest that is exact.
+    sh_storage: Option<ShStorage>,
 }
 
 /// Colour of the selection, and its share of a Gaussian's colour.
@@ -52,25 +55,37 @@ struct Streaming {
     shown: Value,
 }
 
+fn upload(renderer: &mut Renderer, gaussians: &Gaussians, stored: Option<ShStorage>) -> Result<()> {
+    renderer.upload_stored(gaussians, stored.unwrap_or_else(|| ShStorage::lossless(gaussians)))
+}
+
 impl Scenery {
     /// Shows the renderer's scene.
-    pub fn new(renderer: Renderer) -> Scenery {
-        Scenery { renderer, streaming: None, edits: None, mask: None, shows_selection: false }
+    pub fn new(renderer: Renderer, sh_storage: Option<ShStorage>) -> Scenery {
+        Scenery { renderer, streaming: None, edits: None, mask: None, shows_selection: false, sh_storage }
     }
 
     /// Shows a scene, or the tree whose coarsest tile it is.
     pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, onlooker: Onlooker) -> Result<()> {
         (self.streaming, self.edits, self.mask) = (None, None, None);
         if !gaussians.is_empty() {
-            self.renderer.upload(gaussians)?;
+            upload(&mut self.renderer, gaussians, self.sh_storage)?;
         }
         let (Some(streamed), Some(coarsest)) = (tree, self.renderer.scene()) else { return Ok(()) };
         let context = self.renderer.context().clone();
         let waiting = onlooker.clone();
+        // Kernels of recorded frames are built for the storage of the coarsest tile, and for floats.
+        let (coarse, wanted) = (coarsest.plan().sh_storage, self.sh_storage);
+        let stored = move |tile: &Gaussians| match coarse {
+            ShStorage::F32 => ShStorage::F32,
+            _ => wanted.unwrap_or_else(|| ShStorage::lossless(tile)),
+        };
         self.streaming = Some(Streaming {
             tree: streamed.tree.clone(),
             residency: Residency::new(streamed.tree.clone(), coarsest),
-            loader: Loader::start(context, streamed.clone(), gaussians.sh_degree, move || waiting(None))?,
+            loader: Loader::start(context, streamed.clone(), gaussians.sh_degree, stored, move || {
+                waiting(None)
+            })?,
             onlooker,
             budget: streamed.budget,
             current: (Viewer::default(), streamed.budget),
@@ -265,9 +280,10 @@ impl Painter for Scenery {
         };
         let applied = edits.apply(edit);
         let edits = self.edits.insert(edits);
-        if applied? && let Err(error) = self.renderer.upload(&edits.part(Part::Seen)?) {
+        let mut show = |seen: Gaussians| upload(&mut self.renderer, &seen, self.sh_storage);
+        if applied? && let Err(error) = show(edits.part(Part::Seen)?) {
             edits.take_back(edit)?;
-            self.renderer.upload(&edits.part(Part::Seen)?)?;
+            show(edits.part(Part::Seen)?)?;
             return Err(error);
         }
         self.mask = None;

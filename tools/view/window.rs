@@ -51,7 +51,7 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
         }
         _ => error,
     })?;
-    let mut scenery = Scenery::new(Renderer::new(&context)?);
+    let mut scenery = Scenery::new(Renderer::new(&context)?, arguments.look.sh_storage);
     let wake = Mutex::new(events.create_proxy());
     // A loop that has ended needs no waking.
     let onlooker = move |problem: Option<String>| drop(locked(&wake).send_event(problem));

@@ -562,7 +562,8 @@ static void structs(char **arguments) {
     const float mean[3] = {0, 0, 0}, quat[4] = {1, 0, 0, 0}, log_scales[3] = {-1, -1, -1}, logit = 2, sh[3] = {1, 1, 1};
     AshsplatGaussians one = ASHSPLAT_INIT(AshsplatGaussians);
     AshsplatScene *halves = NULL;
-    check(ashsplat_scene_half(stage.context, &one, 1, &halves), "an empty scene of halves");
+    REFUSED(ashsplat_scene_stored(stage.context, &one, 1, 3, &halves), "sh_storage: 3 is none of AshsplatShStorage");
+    check(ashsplat_scene_stored(stage.context, &one, 1, AshsplatShStorage_Half, &halves), "an empty scene of halves");
     check(ashsplat_scene_set_count(halves, 1), "its number");
     one.count = 1;
     one.means = mean;

@@ -3,7 +3,7 @@
 use crate::subject::Streamed;
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::Context;
-use ashsplat::{DeviceScene, Error, Result};
+use ashsplat::{DeviceScene, Error, Result, ShStorage};
 use ashsplat_program::session::{guarded, locked};
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -67,11 +67,12 @@ impl Shared {
 }
 
 impl Loader {
-    /// Starts the thread; `arrived` is called after each tile. `sh_degree`: SH degree at which all tiles are stored.
+    /// Starts the thread; `arrived` is called after each tile. All tiles have the SH degree `sh_degree`.
     pub fn start(
         context: Context,
         streamed: Streamed,
         sh_degree: u32,
+        stored: impl Fn(&Gaussians) -> ShStorage + Send + 'static,
         arrived: impl Fn() + Send + 'static,
     ) -> Result<Loader> {
         let state = Mutex::new(State { context: Some(context), ..State::default() });
@@ -82,7 +83,10 @@ impl Loader {
                 let gaussians = guarded(|| streamed.read(tile, sh_degree));
                 let Some(context) = own.begin_upload() else { return };
                 // The waiting side must get a result for each tile, even after a panic. By then the thread no longer holds the device.
-                let scene = guarded(|| DeviceScene::upload(&context, &gaussians?, 0));
+                let scene = guarded(|| {
+                    let tile = gaussians?;
+                    DeviceScene::upload_stored(&context, &tile, 0, stored(&tile))
+                });
                 drop(context);
                 own.arrive((tile, scene));
                 arrived();

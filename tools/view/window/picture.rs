@@ -10,7 +10,7 @@ use ashsplat::scene::Camera;
 use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
 use ashsplat::{
     Background, ColorEncoding, DeviceScene, Error, HostImage, Placed, RecordedFrame, RenderSettings,
-    Reservation, Result, SlotReport, Target,
+    Reservation, Result, ShStorage, SlotReport, Target,
 };
 use ashsplat_files::Photo;
 use serde_json::Value;
@@ -142,6 +142,8 @@ impl Picture {
             // A tree may have more tiles than a frame can draw.
             scenes: scenes.min(Reservation::MAX_SCENES),
             images_only: true,
+            half_sh: scene.plan().sh_storage == ShStorage::Half,
+            byte_sh: scene.plan().sh_storage == ShStorage::Bytes,
             blend_passes: before.map_or(1, |old| old.blend_passes),
             ..Reservation::new(gaussians, self.sh_degree, size[0], size[1])
         };
