@@ -505,7 +505,7 @@ impl TrainSettings {
 
     /// Returns the settings of a preset, by measurement (tools/strategies.md). All but the reference use the strategy budget,
     /// antialiasing, and late prunings of faint Gaussians. Learning rates fall to 0 at the end, which allows
-    /// larger rates of scales and means before. Moments are packed. They differ in the number of Gaussians and in the warm-up.
+    /// larger rates of scales and means before. Moments are packed, SH are halves. They differ in the number of Gaussians and in the warm-up.
     /// [`exposure`](Self::exposure) is nearly a gain per channel.
     pub fn of_preset(preset: Preset) -> Self {
         let usual = Self {
@@ -513,6 +513,7 @@ impl TrainSettings {
             late_min_opacity: 0.1,
             decay_last: DECAYED_SHARE,
             moments: MomentsType::Packed,
+            sh_storage: ShStorage::Half,
             position_lr_final: 4e-6,
             scaling_lr: 7.5e-3,
             exposure_lr_init: 0.02,
@@ -623,7 +624,7 @@ impl TrainSettings {
         if self.sh_storage == ShStorage::Half && self.moments != MomentsType::Packed {
             return Err(Error::argument(
                 "sh_storage",
-                "is half, which needs packed moments: give moments packed",
+                "is half, which needs packed moments: give moments packed, or sh_storage f32",
             ));
         }
         let others = [("depth_points", self.depth_points > 0.0), ("lens_opt", self.lens_opt)];

@@ -140,7 +140,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
         assert!(status["trainer"].is_null());
         let pixels = number(block, "pixels");
         assert_eq!(pixels, pixels_of(block));
-        let memory = 1_500_000_000 + 4 * pixels + 10 * 944 * number(block, "trained");
+        let memory = 1_500_000_000 + 4 * pixels + 10 * 728 * number(block, "trained");
         assert_eq!(status["memory_bytes"], memory);
     }
     place.run("blocks @blocks.json --json --growth 0.5").refused(&["--growth", "1 or more"]);

@@ -171,9 +171,12 @@ fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32); 3]> {
     let context = Context::new(&ContextOptions { max_memory: Some(most), ..ContextOptions::default() })?;
     let usual = TrainSettings::default();
     let settings = [
-        ("--sh-storage half", TrainSettings { sh_storage: ShStorage::Half, ..usual.clone() }),
         ("default", usual.clone()),
-        ("--moments f32", TrainSettings { moments: MomentsType::F32, ..usual }),
+        ("--sh-storage f32", TrainSettings { sh_storage: ShStorage::F32, ..usual.clone() }),
+        (
+            "--sh-storage f32 --moments f32",
+            TrainSettings { sh_storage: ShStorage::F32, moments: MomentsType::F32, ..usual },
+        ),
     ];
     let photos = gallery.train_photos();
     let mut found = [("", 0); 3];

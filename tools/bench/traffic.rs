@@ -16,6 +16,10 @@ const GEOMETRY_PLANES: u64 = 3;
 /// Attributes of visible Gaussians, all of which may share one buffer.
 const SPLAT_ROLES: [&str; 4] = ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"];
 
+/// Bindings that no measured workload uses; some other buffer is bound instead.
+const UNUSED_ROLES: [&str; 5] =
+    ["cut_outs", "selection", "instance_gradients_d", "pose_sums", "parameter_gradients"];
+
 /// Counts of a frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
@@ -116,8 +120,7 @@ impl Traffic {
         let planes = self.planes(command.name, buffer.role, counts);
         let dispatches = planes.map_or(1, |_| counts.chunks.max(1));
         let used = match (buffer.name, command.scope) {
-            // Off in measured workloads; some other buffer is bound instead.
-            _ if ["cut_outs", "selection"].contains(&buffer.role) => Some(0),
+            _ if UNUSED_ROLES.contains(&buffer.role) => Some(0),
             ("planes", _) => planes,
             // Densification's statistics and the inverse depth are off in measured workloads.
             ("statistics" | "depth_sums", _) => Some(0),

@@ -32,7 +32,7 @@ pub use appearances::PhotoAppearances;
 pub use photos::Photos;
 pub use subject::Subject;
 
-use ashsplat::{Error, RenderSettings, Renderer, Result};
+use ashsplat::{Error, RenderSettings, Renderer, Result, ShStorage};
 use ashsplat_files::{colmap, splats};
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::{LookArguments, parse_direction};
@@ -96,6 +96,9 @@ const LAST_WORDS: Duration = Duration::from_millis(300);
 
 /// Runs the command until Ctrl-C.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    if !matches!(arguments.look.sh_storage, None | Some(ShStorage::F32)) {
+        say!("SH are rounded to their storage, in pictures and in scenes that are saved from here");
+    }
     // The default folder may be read-only: looking needs no files.
     arguments.out.as_deref().map(output::check_folder).transpose()?;
     let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());

@@ -5,11 +5,12 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::{Format, Header, Opened, ReadOptions, Sink, sog};
+use crate::names::stays_inside;
 use crate::regular_file::{self, damaged};
 use ashsplat::{Error, Result};
 
@@ -105,8 +106,7 @@ pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>
     });
     for part in levels.chain(whole.map(Ok)) {
         let (name, rows) = part?;
-        let inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-        if !inside || name.contains([':', '\\']) {
+        if !stays_inside(name) || name.contains([':', '\\']) {
             return Err(damaged(path, format!("{name:?} does not lie in its folder")));
         }
         let file = path.with_file_name(name);
