@@ -112,7 +112,12 @@ impl Renderer {
         let mut adam = Adam::new(self.mean_depth(camera, settings)?);
         let settings = &RenderSettings { inverse_depth: false, ..*settings };
         let form = BackwardForm { pose: true, ..BackwardForm::default() };
-        self.backward.prepare(sh_degree, FrameVariant::of(settings, camera, true), form)?;
+        let variant = FrameVariant::of(settings, camera, true);
+        self.backward.prepare(
+            sh_degree,
+            FrameVariant { sh_storage: scene.plan.sh_storage, ..variant },
+            form,
+        )?;
         let pose_gradient = PoseGradient::new(&self.context)?;
         let masked = photo.is_masked();
         let format = if masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };

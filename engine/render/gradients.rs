@@ -3,7 +3,7 @@
 use super::renderer::Renderer;
 use super::runner::{Failed, Request};
 use crate::error::{Error, Result};
-use crate::frame::{FrameVariant, LENS_SUM_BYTES, RenderSettings, SceneBuffers, planes};
+use crate::frame::{FrameVariant, LENS_SUM_BYTES, RenderSettings, SceneBuffers, ShStorage, planes};
 use crate::passes::backward::{BackwardForm, Statistics};
 use crate::passes::lens::LensGradient;
 use crate::passes::pixels::LayoutConverter;
@@ -85,6 +85,12 @@ impl Renderer {
             return Err(Error::argument("settings", problem));
         }
         let scene = self.only_scene("gradients are")?;
+        if scene.plan.sh_storage != ShStorage::F32 {
+            return Err(Error::argument(
+                "scene",
+                "its SH are not floats: gradients are of a scene that has floats",
+            ));
+        }
         let sh_degree = scene.active_degree(settings);
         let variant = FrameVariant::of(settings, camera, true);
         let lens = with_pose && camera.projection.is_lens();

@@ -119,16 +119,9 @@ impl Renderer {
         Ok(())
     }
 
-    /// Returns the loaded scene, or an error if there are several, or if it can only be drawn. `what` names the operation.
+    /// Returns the loaded scene, or an error if there are several. `what` names the operation.
     pub(super) fn only_scene(&self, what: &str) -> Result<SceneBuffers> {
         match loaded(&self.scenes)? {
-            (scene, []) if scene.plan.sh_storage != ShStorage::F32 => {
-                let stored = if scene.plan.sh_storage == ShStorage::Half { "halves" } else { "bytes" };
-                Err(Error::argument(
-                    "scenes",
-                    format!("{what} of one with SH in floats, and this has {stored}"),
-                ))
-            }
             (scene, []) => Ok(scene.clone()),
             (_, others) => {
                 let problem = format!("{what} of one alone, and {} are drawn", others.len() + 1);

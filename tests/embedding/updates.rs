@@ -149,7 +149,7 @@ fn stored_scenes_are_drawn_as_their_rounded_values() {
             }
             let differentiate =
                 |own: &mut Renderer| own.gradients(&camera, &SETTINGS, &[[0.0; 3]; 60 * 40], None).map(drop);
-            assert_error(renderer.with_scene(&scene, differentiate), "SH in floats, and this has");
+            assert_error(renderer.with_scene(&scene, differentiate), "its SH are not floats");
             // Rounding hardly changes the picture: 70 and 50 dB. The update has replaced the largest value.
             let [halves, floats] =
                 [&scene.download().expect("Gaussians"), &expected].map(|own| owned(own, &camera, &SETTINGS));
