@@ -55,6 +55,7 @@ impl Project {
             projection,
             shutter,
             shared_order,
+            distance_order,
             half_sh,
             ..
         } = variant;
@@ -70,13 +71,15 @@ impl Project {
             lenses: variant.has_lens(),
             sh_loops: self.sizes.tuning.sh_loops,
             shared_order,
+            distance_order,
             half_sh,
             shutter,
         }
     }
 
     fn batch_spec(&self, sh_degree: u32, variant: FrameVariant) -> project_scenes::Spec {
-        let FrameVariant { filter_3d, tinted, projection, shutter, shared_order, .. } = variant;
+        let FrameVariant { filter_3d, tinted, projection, shutter, shared_order, distance_order, .. } =
+            variant;
         project_scenes::Spec {
             workgroup_size: self.sizes.elementwise_workgroup,
             sh_degree,
@@ -86,6 +89,7 @@ impl Project {
             lenses: variant.has_lens(),
             sh_loops: self.sizes.tuning.sh_loops,
             shared_order,
+            distance_order,
             shutter,
         }
     }

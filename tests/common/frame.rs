@@ -68,6 +68,7 @@ impl Projected {
             lenses: false,
             sh_loops: gpu.limits().tuning.sh_loops,
             shared_order,
+            distance_order: view.drawn.distance_order,
             half_sh: false,
             shutter: false,
         };
