@@ -23,8 +23,9 @@ pub struct RenderSettings {
     /// Pixels at which a Gaussian counts.
     pub extent: Extent,
     /// Blends Gaussians in the order of their means' distances to the camera instead of their z, the reference's order. When the
-    /// camera turns, z changes and Gaussians swap places, so colours pop (Radl et al. 2024, StopThePop); distances do not change.
-    /// Orthographic cameras keep z, because their rays have no centre. Fisheyes and panoramas always order by distance.
+    /// camera turns, z changes and Gaussians swap places, so colours pop (Radl et al. 2024, StopThePop); distances do not change. A
+    /// scene is drawn best in the order of its training. Orthographic cameras keep z, because their rays have no centre. Fisheyes and
+    /// panoramas always order by distance.
     pub distance_order: bool,
     /// Limits of the projection's linearisation.
     pub jacobian_limit: JacobianLimit,
