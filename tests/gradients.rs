@@ -127,6 +127,18 @@ fn gradients_of_the_twin_agree_with_finite_differences() {
     }
 }
 
+/// The picture with Gaussians in the order of distances, and its gradients.
+fn distance_ordered(view: View) -> View {
+    View { drawn: Drawn { distance_order: true, ..view.drawn }, ..view }
+}
+
+#[test]
+fn gradients_of_the_twin_in_the_order_of_distances() {
+    let view = distance_ordered(small_view([40, 24]));
+    let compared: usize = (20..23).map(|seed| compare_frame(&view, seed)).sum();
+    assert!(compared > 200, "only {compared} derivatives could be compared");
+}
+
 #[test]
 fn gradients_of_the_twin_through_the_jacobian_limits() {
     for view in [false, true].map(narrow_view) {
@@ -185,6 +197,26 @@ fn gradients_of_the_device_agree_with_the_twin() {
                 compare_with_device(&view, 100 + seed);
             }
         }
+    }
+}
+
+/// Also compares the pictures of the device and of the twin. The order changes both.
+#[test]
+fn gradients_of_the_device_in_the_order_of_distances() {
+    let usual = small_view([90, 60]);
+    let view = distance_ordered(usual.clone());
+    compare_with_device(&view, 9);
+    let _gpu = Gpu::new();
+    let scene = small_scene(&mut Random::new(9), 150, 16);
+    let frame = render(&scene, &view);
+    assert_ne!(frame.lists, render(&scene, &usual).lists);
+    let mut renderer = renderer();
+    renderer.upload(&gaussians(&scene)).expect("upload");
+    let drawn = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
+    let stable = unstable_pixels(&view, &frame, 1e-4);
+    for (index, (actual, expected)) in drawn.color.iter().zip(&frame.pixels).enumerate() {
+        let close = (0..3).all(|c| (f64::from(actual[c]) - expected.color[c]).abs() < 1e-4);
+        assert!(close || stable[index], "pixel {index}: {actual:?}, {:?}", expected.color);
     }
 }
 

@@ -29,6 +29,7 @@ pub use plan::{
     gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,
     max_trained_instances, next_scene_begin, parameter_planes, tile_bits, tile_grid, to_u32,
 };
+pub(crate) use settings::may_order_by_distance;
 pub use settings::{
     Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, MAX_TINT, POINT_RADIUS_PX, RenderSettings,
     SceneSettings, Selection, Shape, SurfaceDepth,

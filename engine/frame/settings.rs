@@ -22,6 +22,11 @@ pub enum Extent {
 pub struct RenderSettings {
     /// Pixels at which a Gaussian counts.
     pub extent: Extent,
+    /// Blends Gaussians in the order of their means' distances to the camera instead of their z, the reference's order. When the
+    /// camera turns, z changes and Gaussians swap places, so colours pop (Radl et al. 2024, StopThePop); distances do not change. A
+    /// scene is drawn best in the order of its training. Orthographic cameras keep z, because their rays have no centre. Fisheyes and
+    /// panoramas always order by distance.
+    pub distance_order: bool,
     /// Limits of the projection's linearisation.
     pub jacobian_limit: JacobianLimit,
     /// Opacity compensation for the low-pass filter (Mip-Splatting's 2D filter).
@@ -106,6 +111,7 @@ impl Default for RenderSettings {
     fn default() -> Self {
         Self {
             extent: Extent::default(),
+            distance_order: false,
             jacobian_limit: JacobianLimit::default(),
             antialias: false,
             antialias_detached: false,
@@ -410,6 +416,11 @@ impl<'a> SceneSettings<'a> {
 
 // Variants of a frame's kernels, which follow from the settings.
 
+/// True if the setting decides, and not the projection, that distances order a frame's Gaussians.
+pub(crate) fn may_order_by_distance(projection: Projection) -> bool {
+    projection != Projection::Orthographic && !projection.orders_by_distance()
+}
+
 /// Form of the blending kernel: the picture is the same, the cost depends on the device. The pictures agree to the bit if the
 /// driver's compiler fuses sums of products alike in both kernels, as llvmpipe's does. `precise` arithmetic decides which
 /// Gaussians count.
@@ -465,6 +476,8 @@ pub struct FrameVariant {
     pub outputs: Outputs,
     /// Depth of an output surface.
     pub surface_depth: SurfaceDepth,
+    /// Gaussians come by distance, while their records have z. Affects projection, and blending with `depth_limit`.
+    pub distance_order: bool,
     /// Projection of the camera. Affects culling, projection and its backward pass.
     pub projection: Projection,
     /// The camera has a rolling shutter. Affects culling, projection, its backward pass and the optimiser.
@@ -478,6 +491,7 @@ impl FrameVariant {
     /// Returns the variant of a camera's frame of one scene, in a buffer of its own.
     pub fn of(settings: &RenderSettings, camera: &Camera, backward: bool) -> Self {
         Self {
+            distance_order: settings.distance_order && may_order_by_distance(camera.projection),
             projection: camera.projection,
             shutter: camera.shutter.is_some(),
             inverse_depth: settings.inverse_depth,

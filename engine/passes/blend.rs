@@ -72,6 +72,7 @@ impl Blend {
             ..
         } = variant;
         let last_entries = variant.backward || variant.last_entries;
+        let distance_order = variant.distance_order && depth_limit;
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, regions_per_subgroup, tuning, .. } = *sizes;
         let (incremental_exp, strips) = (tuning.incremental_exp && !steep, variant.backward && sizes.strips);
@@ -98,6 +99,7 @@ impl Blend {
                     broadcast,
                     shared_splats,
                     last_entries,
+                    distance_order,
                     lenses,
                     $($auxiliary,)*
                 }
@@ -115,6 +117,7 @@ impl Blend {
                     count_hits,
                     strips,
                     last_entries,
+                    distance_order,
                     lenses,
                     $($auxiliary,)*
                 }

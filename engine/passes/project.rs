@@ -56,6 +56,7 @@ impl Project {
             shutter,
             shared_order,
             sh_storage,
+            distance_order,
             ..
         } = variant;
         project::Spec {
@@ -71,12 +72,14 @@ impl Project {
             sh_loops: self.sizes.tuning.sh_loops,
             shared_order,
             sh_storage: sh_storage as u32,
+            distance_order,
             shutter,
         }
     }
 
     fn batch_spec(&self, sh_degree: u32, variant: FrameVariant) -> project_scenes::Spec {
-        let FrameVariant { filter_3d, tinted, projection, shutter, shared_order, .. } = variant;
+        let FrameVariant { filter_3d, tinted, projection, shutter, shared_order, distance_order, .. } =
+            variant;
         project_scenes::Spec {
             workgroup_size: self.sizes.elementwise_workgroup,
             sh_degree,
@@ -86,6 +89,7 @@ impl Project {
             lenses: variant.has_lens(),
             sh_loops: self.sizes.tuning.sh_loops,
             shared_order,
+            distance_order,
             shutter,
         }
     }

@@ -69,7 +69,7 @@ impl Renderer {
     /// With [`Reservation::shared_sort`](super::Reservation::shared_sort), consecutive views are culled and sorted once if:
     ///
     /// - They have the same slice of scenes and equal settings. Targets may differ.
-    /// - Their cameras are all pinholes or all orthographic.
+    /// - Their cameras are all pinholes without [`distance_order`](crate::RenderSettings::distance_order), or all orthographic.
     /// - Their depths are bit-identical: the third row of `camera_from_world` and `translation.z`, under each scene's pose.
     ///
     /// So create the second eye from the first by [`Camera::moved_aside`](crate::Camera::moved_aside). View matrices that

@@ -42,6 +42,7 @@ impl<'a> RecordingLists<'a> {
                 && own.settings == frame.settings
                 && own.camera.projection == frame.camera.projection
                 && !frame.camera.projection.orders_by_distance()
+                && !frame.variant().distance_order
                 && [own, frame].iter().all(|view| view.camera.shutter.is_none())
                 && self.scenes_of(*view).iter().map(depth_bits).eq(scenes.iter().map(depth_bits))
         };

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, Outputs, PictureCapacity, ScenePlan,
-    SceneSettings, ShStorage, SurfaceDepth, check_grids, initial_instances,
+    SceneSettings, ShStorage, SurfaceDepth, check_grids, initial_instances, may_order_by_distance,
 };
 use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
@@ -49,6 +49,8 @@ pub struct Reservation {
     pub occlusion: bool,
     /// True if frames will draw scenes with a 3D filter ([`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d)).
     pub filter_3d: bool,
+    /// True if frames will be blended in the order of distances ([`RenderSettings::distance_order`](crate::RenderSettings::distance_order)).
+    pub distance_order: bool,
     /// True if scenes of frames will have a tint or an opacity ([`SceneSettings`](crate::SceneSettings)).
     pub tint: bool,
     /// Cut-outs of all scenes of a frame together ([`SceneSettings::cut_outs`](crate::SceneSettings::cut_outs)).
@@ -160,13 +162,14 @@ impl Reservation {
         // Kernels of motion and of surfaces belong to the projection, and depend on nothing but the cameras.
         let outputs = self.outputs();
         let plain = |projection| FrameVariant { projection, outputs, ..FrameVariant::default() };
-        let features: [Feature; 6] = [
+        let features: [Feature; 7] = [
             (self.rolling_shutter, |v| v.shutter = v.projection != Projection::Orthographic),
             (self.filter_3d, |v| v.filter_3d = true),
             (self.tint, |v| v.tinted = true),
             (self.cut_outs > 0, |v| v.cut_outs = true),
             (self.selection, |v| v.selection = true),
             (self.shared_sort, |v| v.shared_order = true),
+            (self.distance_order, |v| v.distance_order = may_order_by_distance(v.projection)),
         ];
         let stored = |variant: FrameVariant| {
             let storages =
@@ -196,9 +199,10 @@ impl Reservation {
         let depths = depths.into_iter().filter(|(reserved, _)| *reserved).map(|(_, variant)| variant);
         let with_outputs =
             |variant| self.outputs().subsets().map(move |outputs| FrameVariant { outputs, ..variant });
-        let features: [Feature; 3] = [
+        let features: [Feature; 4] = [
             (self.lens.is_some_and(Projection::has_seam), |v| v.projection = Projection::Equirectangular),
             (self.occlusion, |v| v.depth_limit = true),
+            (self.distance_order, |v| v.distance_order = v.depth_limit),
             // Any frame may draw ellipsoids.
             (true, |v| v.steep = true),
         ];
@@ -214,6 +218,7 @@ impl Reservation {
             ("expected_depth", frame.expected_depth, self.expected_depth),
             ("inverse_depth", frame.inverse_depth && !frame.expected_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
+            ("distance_order", frame.distance_order, self.distance_order),
             ("orthographic", has(Projection::Orthographic), self.orthographic),
             ("lens", frame.projection.is_lens(), self.lens == Some(frame.projection)),
             ("rolling_shutter", frame.shutter, self.rolling_shutter),

@@ -247,6 +247,7 @@ impl TrainSettings {
             antialias: self.antialiasing,
             antialias_detached: self.antialiasing_detached,
             dilation_px2: self.kernel_size as f32,
+            distance_order: self.distance_order,
             filter_3d: self.filter_3d,
             background: [f32::from(u8::from(self.white_background)); 3],
             ..RenderSettings::default()

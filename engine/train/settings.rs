@@ -407,6 +407,9 @@ options! {
         /// With strategy budget, Gaussians of a smaller opacity are pruned up to seven times between 8000 and 21000 of 30000
         /// iterations as well, but not within 300 after the start or an opacity reset; 0 for none
         late_min_opacity: f64 = 0.0, Bounds::Share;
+        /// Blend in the order of distances instead of z, so that colours do not pop when the camera turns. Viewers that sort by z draw
+        /// such a scene worse
+        distance_order: bool = false, Bounds::None;
         /// White background instead of black
         white_background: bool = false, Bounds::None;
         /// A new random background colour in every iteration, behind the scene and behind transparent photos, so that no Gaussian

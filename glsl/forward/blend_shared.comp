@@ -40,6 +40,8 @@ layout(constant_id = 7) const bool COUNT_HITS = false;
 layout(constant_id = 8) const bool STRIPS = false;
 // See blend.comp.
 layout(constant_id = 14) const bool LAST_ENTRIES = true;
+// With DEPTH_LIMIT: splats come by distance, not by z.
+layout(constant_id = 18) const bool DISTANCE_ORDER = false;
 layout(local_size_x_id = 0) in;
 
 const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;

@@ -18,6 +18,8 @@
 #include "sh_storage.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+// True to order by distance instead of z: see RenderSettings in engine/frame/settings.rs.
+layout(constant_id = 1) const bool DISTANCE_ORDER = false;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // True if Gaussians have a 3D filter: see project_gaussian.glsl.
 layout(constant_id = 3) const bool FILTER_3D = false;

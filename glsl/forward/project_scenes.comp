@@ -14,8 +14,9 @@
 #include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-layout(constant_id = 2) const uint SH_DEGREE = 3;
 // Same as in project.comp. Frames with dropout have no batches, and scenes with a selection are outside batches.
+layout(constant_id = 1) const bool DISTANCE_ORDER = false;
+layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 6) const bool TINTED = false;
 layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;

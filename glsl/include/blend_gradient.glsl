@@ -7,6 +7,7 @@
 
 // Training only draws splats: there is no host depth image and no linear depth.
 const bool DEPTH_LIMIT = false;
+const bool DISTANCE_ORDER = false;
 const bool LINEAR_DEPTH = false;
 const bool LAST_ENTRIES = false;
 

@@ -1,8 +1,8 @@
 // Blends one Gaussian over a column of pixels, front to back. Every variant of the kernel shares this arithmetic. A column is a
 // vertical run of COLUMN_ROWS pixels that belongs to one invocation.
 //
-// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP, LAST_ENTRIES and COLUMN_ROWS; with
-// AUXILIARY buffers.glsl.
+// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, DISTANCE_ORDER, LINEAR_DEPTH, INCREMENTAL_EXP, LAST_ENTRIES and COLUMN_ROWS;
+// with AUXILIARY buffers.glsl.
 
 // Maximum number of rows in a column. A literal instead of COLUMN_ROWS: an array sized by a specialization constant has a
 // distinct type in every declaration. A function that returns such an array returns undefined values.
@@ -106,12 +106,12 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
 
 // `unclamped` is the opacity from column_alphas. Returns the splat's weight.
 float blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
-    float alpha = min(ALPHA_MAX, unclamped);
-    precise float next = pixel.transmittance * (1.0 - alpha);
-    // Tested even if the splat does not count at this pixel, but not after the pixel has stopped. Splats come front to back, so
-    // all later splats lie behind the limit too, and the pixel stops.
+    // Tested even if the splat does not count at this pixel, but not after the pixel has stopped. If splats come by z, all later
+    // ones lie behind the limit too, and the pixel stops. With DISTANCE_ORDER it skips this one.
     bool behind = DEPTH_LIMIT && splat.inverse_z < pixel.least_inverse_z;
-    bool goes_on = next >= TRANSMITTANCE_MIN && !behind;
+    float alpha = DISTANCE_ORDER && behind ? 0.0 : min(ALPHA_MAX, unclamped);
+    precise float next = pixel.transmittance * (1.0 - alpha);
+    bool goes_on = next >= TRANSMITTANCE_MIN && (DISTANCE_ORDER || !behind);
     float weight = goes_on ? alpha * pixel.transmittance : 0.0;
     pixel.color += weight * splat.rgb;
     if (INVERSE_DEPTH) {

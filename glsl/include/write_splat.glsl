@@ -1,6 +1,6 @@
 // Attributes of a visible Gaussian, for projection of one scene and of a batch. Needs the requirements of project_gaussian.glsl with
-// DRAWS_SHAPES; sh_planes.glsl, splat_record.glsl; the buffers of project.comp; Z_RECORD and SHARED_ORDER; and `highlighted`,
-// which gives a selected Gaussian its colour.
+// DRAWS_SHAPES; sh_planes.glsl, splat_record.glsl; the buffers of project.comp; Z_RECORD, SHARED_ORDER and DISTANCE_ORDER; and
+// `highlighted`, which gives a selected Gaussian its colour.
 
 vec3 tinted(vec3 color) {
     return TINTED ? min(color * scene_tint, vec3(TINTED_COLOR_MAX)) : color;
@@ -33,7 +33,7 @@ void write_splat(uint visible, uint index) {
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
         vec4(highlighted(tinted(max(color, vec3(0.0))), index), Z_RECORD ? DEPTH_OF(p.mean_camera) : 1.0 / DEPTH_OF(p.mean_camera));
     // Culling may have rounded differently, so the depth may lie slightly before the near plane.
-    float depth = max(DEPTH_OF(p.mean_camera), NEAR_PLANE);
+    float depth = max(DISTANCE_ORDER ? length(p.mean_camera) : DEPTH_OF(p.mean_camera), NEAR_PLANE);
     uint depth_key = floatBitsToUint(depth) - floatBitsToUint(NEAR_PLANE);
     depth_keys[visible] = min(depth_key, (1u << DEPTH_KEY_BITS) - 1);
     footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));

@@ -1,4 +1,4 @@
-//! Mip-Splatting's filters in the program: from a training to files, pictures and measurements.
+//! Mip-Splatting's filters and the order of distances in the program: from a training to files, pictures and measurements.
 
 use super::*;
 
@@ -8,7 +8,7 @@ fn filters_go_from_training_into_files_and_pictures() {
     place
         .run(
             "train -s @data -m @model --eval --quiet --few-photos off --iterations 20 --filter-3d \
-             --antialiasing --kernel-size 0.1",
+             --antialiasing --kernel-size 0.1 --distance-order",
         )
         .ok();
     let ply = point_cloud("model", 20);
@@ -29,7 +29,8 @@ fn filters_go_from_training_into_files_and_pictures() {
     };
     let trained = place.read_json("model/results.json")["ours_20"]["PSNR"].as_f64().expect("a number");
     let [whole, alone, other] =
-        ["@model", "@baked.ply --kernel-size 0.1", "@baked.ply --kernel-size 3"].map(measured);
+        ["@model", "@baked.ply --kernel-size 0.1 --distance-order", "@baked.ply --kernel-size 3"]
+            .map(measured);
     assert!((whole - trained).abs() < 1e-4 && (alone - trained).abs() < 1e-3, "{trained} {whole} {alone}");
     assert!((other - trained).abs() > 1e-2, "{other}");
     let picture = |scene: &str| {
@@ -38,7 +39,8 @@ fn filters_go_from_training_into_files_and_pictures() {
     };
     let whole = picture("@model");
     let differ = |other: &[u8]| whole.iter().zip(other).map(|(a, b)| a.abs_diff(*b)).max().expect("pixels");
-    assert!(differ(&picture("@baked.ply --kernel-size 0.1")) <= 1);
+    assert!(differ(&picture("@baked.ply --kernel-size 0.1 --distance-order")) <= 1);
+    assert!(differ(&picture("@baked.ply --kernel-size 0.1")) > 1);
     assert!(differ(&picture("@baked.ply --kernel-size 3")) > 8);
     // Without the filter, the file has neither the column nor the mark.
     place.run("train -s @data -m @plain --quiet --iterations 2 --preset reference").ok();

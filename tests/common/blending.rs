@@ -127,6 +127,8 @@ macro_rules! blend_lists {
 #[derive(Clone, Copy, Debug)]
 pub struct How {
     pub inverse_depth: bool,
+    /// DISTANCE_ORDER: lists need not be in the order of z.
+    pub distance_order: bool,
     /// INCREMENTAL_EXP: each opacity of a column follows from the one above.
     pub incremental_exp: bool,
     /// REGIONS_PER_SUBGROUP: regions of a subgroup.
@@ -158,6 +160,7 @@ pub fn has_strips(gpu: &Gpu) -> bool {
 /// Inverse depth, one pass, incremental exponentials.
 pub const CHAINED: How = How {
     inverse_depth: true,
+    distance_order: false,
     incremental_exp: true,
     parts: 1,
     entries_per_pass: u32::MAX,
@@ -195,7 +198,7 @@ pub fn forward_limited(
     linear_depth: bool,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, incremental_exp, parts, strips, .. } = how;
+    let How { inverse_depth, distance_order, incremental_exp, parts, strips, .. } = how;
     let (subgroup_size, depth_limit, count_hits) = (gpu.subgroup(), limits.is_some(), false);
     if let Some(workgroup_size) = how.by_workgroup {
         let spec = blend_shared::Spec {
@@ -208,6 +211,7 @@ pub fn forward_limited(
             incremental_exp,
             count_hits,
             strips,
+            distance_order,
             lenses: false,
         };
         return blend_lists!(gpu, lists, blend_shared, spec, how, limits);
@@ -226,6 +230,7 @@ pub fn forward_limited(
         region_height: region_height(gpu, how),
         broadcast: how.low_regions,
         shared_splats: how.shares,
+        distance_order,
         lenses: false,
     };
     blend_lists!(gpu, lists, blend, spec, how, limits)

@@ -69,6 +69,7 @@ pub fn settings(view: &View) -> RenderSettings {
             true => JacobianLimit::Symmetric,
             false => JacobianLimit::Edge,
         },
+        distance_order: view.drawn.distance_order,
         antialias: view.antialias,
         antialias_detached: view.antialias_detached,
         dilation_px2: view.drawn.dilation_px2 as f32,

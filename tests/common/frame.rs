@@ -70,6 +70,7 @@ impl Projected {
             sh_loops: gpu.limits().tuning.sh_loops,
             shared_order,
             sh_storage: ShStorage::F32 as u32,
+            distance_order: view.drawn.distance_order,
             shutter: false,
         };
         let splat = |(i, gaussian): (usize, &Gaussian)| {

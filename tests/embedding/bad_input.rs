@@ -220,6 +220,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let [stretched, nowhere, inside_out, vanished] =
             [sheared, lost, inside_out, vanished].map(|pose| [Placed { pose, ..placed[0] }]);
         let depth_settings = RenderSettings { inverse_depth: true, ..settings };
+        let by_distance = RenderSettings { distance_order: true, ..settings };
         let both_settings = RenderSettings { filter_3d: true, ..depth_settings };
         let hidden = |depth, mapping| RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good };
         let target = "target (image 'target')";
@@ -242,6 +243,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (of(&nowhere), "scenes[0].pose", "not finite"),
             (drawn_with(&depth_settings), "Reservation::inverse_depth", "not reserved"),
             (seen_by(&parallel), "Reservation::orthographic", "not reserved"),
+            (drawn_with(&by_distance), "Reservation::distance_order", "not reserved"),
             (in_image(&images[0]), target, "64 x 48 pixels at (0, 0) exceed its 40 x 48"),
             (in_image(&images[1]), target, "adopted for Depth, not for Target"),
             (in_image(&images[2]), target, "another context"),

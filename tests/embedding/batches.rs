@@ -53,6 +53,7 @@ fn batches_have_the_bits_of_single_scenes() {
             cut_outs: 64,
             selection: true,
             filter_3d: true,
+            distance_order: true,
             orthographic: true,
             ..Reservation::new(gaussians as u32, 1, 110, 70)
         };
@@ -77,7 +78,8 @@ fn batches_have_the_bits_of_single_scenes() {
             (camera(0.3, 110, 70), usual),
             (camera(2.0, 110, 70), RenderSettings { filter_3d: true, ..usual }),
             (camera(1.2, 110, 70), RenderSettings { extent, antialias: true, ..usual }),
-            (orthographic, usual),
+            (camera(0.3, 110, 70), RenderSettings { distance_order: true, ..usual }),
+            (orthographic, RenderSettings { distance_order: true, ..usual }),
         ];
         for (camera, own) in &frames {
             let mut pictures = Vec::new();

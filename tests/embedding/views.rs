@@ -73,6 +73,32 @@ fn layers_have_the_bits_of_frames_alone() {
     });
 }
 
+/// Eyes side by side have other distances of a Gaussian, so each sorts alone.
+#[test]
+fn layers_in_the_order_of_distances_have_the_bits_of_frames_alone() {
+    with_guest(|host, context| {
+        let gaussians = hard_cloud();
+        let scene = uploaded(&context, &gaussians);
+        let left = camera(0.3, SIZE[0], SIZE[1]).moved_aside([-1.0, 0.0]);
+        let cameras = [left, left.moved_aside([2.0, 0.1])];
+        let array = ArrayImage::new(host, &context, SIZE, 2);
+        let (placed, settings) =
+            ([Placed::from(&scene)], RenderSettings { distance_order: true, ..*SETTINGS });
+        let mut frames = array.frames(&placed, &cameras);
+        frames.iter_mut().for_each(|frame| frame.settings = &settings);
+        let eyes = Reservation { views: 2, images_only: true, ..Reservation::new(900, 1, 72, 56) };
+        let mut renderer =
+            reserved(&context, &Reservation { shared_sort: true, distance_order: true, ..eyes });
+        render_views(host, &mut renderer, &frames);
+        assert_eq!(report_of(&mut renderer, 0).sorts, 2);
+        for (layer, camera) in array.read().iter().zip(&cameras) {
+            let colors: Vec<[f32; 3]> = layer.iter().map(|&[r, g, b, _]| [r, g, b]).collect();
+            assert!(colors == owned(&gaussians, camera, &settings).color);
+            assert!(colors != owned(&gaussians, camera, &SETTINGS).color);
+        }
+    });
+}
+
 fn written() -> ImageState {
     let read = vk::AccessFlags2::SHADER_STORAGE_READ;
     ImageState { accesses: WRITTEN.accesses | read, ..WRITTEN }

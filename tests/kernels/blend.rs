@@ -244,22 +244,27 @@ pub fn blend_reports_tiles_that_no_pass_finishes() {
     }
 }
 
-/// Splats behind a limit and those after them add nothing. Also checks the sum of weights * z.
+/// Splats behind a limit add nothing, nor do those after them if z orders them. Also checks the sum of weights * z.
 #[test]
 pub fn blend_stops_at_the_depth_limit() {
     let gpu = Gpu::new();
-    let lists = Lists::sorted(&gpu, 70, [0.02, 0.6], &small_view(SIZE));
+    let view = small_view(SIZE);
+    check_limits(&gpu, &Lists::sorted(&gpu, 70, [0.02, 0.6], &view), false);
+    check_limits(&gpu, &Lists::long(&gpu, 70, [0.02, 0.6], &view), true);
+}
+
+fn check_limits(gpu: &Gpu, lists: &Lists, distance_order: bool) {
     let count = lists.view.pixels();
     let unstable = lists.unstable();
     // Nothing hidden, everything hidden, and depths in between: the splats lie between 0.5 and 9.
     let limits: Vec<f32> =
         (0..count).map(|i| [0.0, 1.0 / 0.4, 1.0 / 8.9, 1.0 / 4.0][i % 4] * (1.0 + i as f32 * 1e-5)).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
-    let how = How { entries_per_pass: 32, ..CHAINED };
+    let how = How { entries_per_pass: 32, distance_order, ..CHAINED };
     for linear_depth in [false, true] {
-        let blended = forward_limited(&gpu, &lists, how, linear_depth, Some(&buffer));
-        let visible = |index: usize, list: Vec<_>| before(&list, limits[index].into()).to_vec();
-        assert_pixels(&gpu, &lists, &blended, "with limits", visible);
+        let blended = forward_limited(gpu, lists, how, linear_depth, Some(&buffer));
+        let visible = |index: usize, list: Vec<_>| before(&list, limits[index].into());
+        assert_pixels(gpu, lists, &blended, "with limits", visible);
         let depths = gpu.read_f64::<f32>(&blended.depth_sums, count);
         for (index, at) in pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]) {
             let list = visible(index, lists.list_of(at));
@@ -405,14 +410,18 @@ fn blend_shared_in_passes_equals_blend_at_once() {
 #[test]
 fn blend_shared_equals_blend_with_depth_limits() {
     let gpu = Gpu::new();
-    let lists = Lists::sorted(&gpu, 90, [0.02, 0.6], &small_view(SIZE));
-    let count = lists.view.pixels();
+    let view = small_view(SIZE);
+    let [sorted, unsorted] = [Lists::sorted, Lists::long].map(|make| make(&gpu, 90, [0.02, 0.6], &view));
+    let count = view.pixels();
     let limits: Vec<f32> = (0..count).map(|i| (i % 9) as f32 / 5.0).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
-    for (how, workgroup_size) in [(CHAINED, 32), (UNCHAINED, 64)] {
+    for (how, workgroup_size, distance_order) in
+        [(CHAINED, 32, false), (UNCHAINED, 64, false), (CHAINED, 32, true)]
+    {
+        let (how, lists) = (How { distance_order, ..how }, if distance_order { &unsorted } else { &sorted });
         let in_passes = shared(workgroup_size, How { entries_per_pass: 32, ..how });
-        let shared = forward_limited(&gpu, &lists, in_passes, false, Some(&buffer));
-        let regions = forward_limited(&gpu, &lists, how, false, Some(&buffer));
+        let shared = forward_limited(&gpu, lists, in_passes, false, Some(&buffer));
+        let regions = forward_limited(&gpu, lists, how, false, Some(&buffer));
         let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
         assert!(words(&shared.last_entries, count) == words(&regions.last_entries, count));
         assert_alike(&gpu, [&shared, &regions], count, &format!("{workgroup_size} invocations"));

@@ -90,7 +90,7 @@ fn compare(output: &Output, place: usize, splat: &Splat, view: &View) {
     }
     let blended = if view.drawn.z_record { splat.depth } else { 1.0 / splat.depth };
     close("blended depth", inverse_depth, blended, 0.0, 1e-5);
-    close("depth", depth_of_key(output.depth_keys[place]), splat.depth, 2e-6, 1e-6);
+    close("depth", depth_of_key(output.depth_keys[place]), view.order_of(splat), 2e-6, 1e-6);
     if view.extent == Extent::Reference {
         compare_square(output.footprints[place], place, splat, view);
     }
@@ -155,6 +155,10 @@ fn project_equals_its_twin_in_every_mode() {
             draw(drawn, false);
             draw(drawn, true);
         }
+    }
+    // The order of distances, with z as the blended depth too.
+    for z_record in [false, true] {
+        draw(Drawn { distance_order: true, z_record, ..as_they_are }, false);
     }
     // A selection in another colour, to which the tint does not apply.
     for (share, tint) in [(0.75, None), (1.0, Some(Tint { color: [0.5, 1.5, 1.0], opacity: 0.5 }))] {

@@ -125,8 +125,7 @@ pub fn is_surface_depth(
     })
 }
 
-/// The splats of a list before the first one that lies behind a limit, 1/z.
-pub fn before<'a, 'b>(list: &'a [&'b Splat], least_inverse_z: f64) -> &'a [&'b Splat] {
-    let end = list.iter().position(|splat| 1.0 / splat.depth < least_inverse_z);
-    &list[..end.unwrap_or(list.len())]
+/// The splats of a list that do not lie behind a limit, 1/z.
+pub fn before<'a>(list: &[&'a Splat], least_inverse_z: f64) -> Vec<&'a Splat> {
+    list.iter().copied().filter(|splat| 1.0 / splat.depth >= least_inverse_z).collect()
 }

@@ -65,7 +65,7 @@ pub fn expand(splats: &[Option<Splat>], view: &View) -> Vec<Instance> {
     for (gaussian, splat) in splats.iter().enumerate() {
         let Some(splat) = splat else { continue };
         for tile in tiles::touched(splat, view) {
-            let depth_bits = (splat.depth as f32).to_bits();
+            let depth_bits = (view.order_of(splat) as f32).to_bits();
             instances.push(Instance { tile, depth_bits, gaussian: gaussian as u32 });
         }
     }

@@ -68,6 +68,8 @@ pub struct Drawn {
     pub selection: Option<Selection>,
     /// Blends z, not 1/z, as the depth. Only the projecting kernels read it.
     pub z_record: bool,
+    /// Splats have the order of distances.
+    pub distance_order: bool,
     /// Parallel camera rays. Only the culling and projecting kernels read it.
     pub orthographic: bool,
 }
@@ -184,6 +186,7 @@ impl Drawn {
         cut_outs: [None; 3],
         selection: None,
         z_record: false,
+        distance_order: false,
         orthographic: false,
     };
 
@@ -237,6 +240,15 @@ impl View {
 
     pub fn pixels(&self) -> usize {
         self.size_px[0] as usize * self.size_px[1] as usize
+    }
+
+    /// What splats are ordered by: z, or the distance of their means.
+    pub fn order_of(&self, splat: &Splat) -> f64 {
+        if !self.drawn.distance_order || self.drawn.orthographic {
+            return splat.depth;
+        }
+        let slope = |i: usize| (splat.mean2d_px[i] + 0.5 - self.center_px[i]) / self.focal_px[i];
+        splat.depth * (1.0 + slope(0).powi(2) + slope(1).powi(2)).sqrt()
     }
 }
 

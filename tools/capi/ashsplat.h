@@ -248,6 +248,9 @@ typedef struct AshsplatRenderSettings {
   // Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames
   // with it need AshsplatReservation.filter_3d.
   uint32_t filter_3d;
+  // Not 0: Gaussians are blended in the order of their distances instead of their z, so that none swap places when the camera
+  // turns. Frames with it need AshsplatReservation.distance_order.
+  uint32_t distance_order;
 } AshsplatRenderSettings;
 
 // Arrays of the host that receive gradients, each as long as the scene and shaped as in AshsplatGaussians. NULL leaves a
@@ -764,6 +767,8 @@ typedef struct AshsplatReservation {
   // 0: frames will have no surfaces. Else 1 + the AshsplatSurfaceDepth of all of them: 16 bytes of memory per pixel and 16 per
   // Gaussian.
   uint64_t surface;
+  // Not 0: frames will be blended in the order of distances (AshsplatRenderSettings.distance_order).
+  uint64_t distance_order;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the

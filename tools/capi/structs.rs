@@ -102,8 +102,8 @@ structs! {
     AshsplatPose, scale..scale, { world_from_object: UPRIGHT, scale: 1.0 };
     AshsplatRecordedFrame, motion..surface, {};
     AshsplatRelease, motion..surface, {};
-    AshsplatRenderSettings, scale_modifier..filter_3d, { sh_degree: 3, scale_modifier: 1.0 };
-    AshsplatReservation, staging_bytes..surface, { slots: 1, queues: 1, scenes: 1 };
+    AshsplatRenderSettings, scale_modifier..distance_order, { sh_degree: 3, scale_modifier: 1.0 };
+    AshsplatReservation, staging_bytes..distance_order, { slots: 1, queues: 1, scenes: 1 };
     AshsplatScenePlan, chunk_bytes..chunk_bytes, {};
     AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5

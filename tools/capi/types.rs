@@ -370,6 +370,8 @@ pub struct AshsplatReservation {
     /// 0: frames will have no surfaces. Else 1 + the AshsplatSurfaceDepth of all of them: 16 bytes of memory per pixel and 16 per
     /// Gaussian.
     pub surface: u64,
+    /// Not 0: frames will be blended in the order of distances (AshsplatRenderSettings.distance_order).
+    pub distance_order: u64,
 }
 
 impl AshsplatReservation {
@@ -399,6 +401,7 @@ impl AshsplatReservation {
             rolling_shutter: w.rolling_shutter != 0,
             half_sh: w.half_sh != 0,
             byte_sh: w.byte_sh != 0,
+            distance_order: w.distance_order != 0,
             surface,
             lens: Some(lens).filter(|lens| lens.is_lens()),
             ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)
@@ -591,6 +594,9 @@ pub struct AshsplatRenderSettings {
     /// Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames
     /// with it need AshsplatReservation.filter_3d.
     pub filter_3d: u32,
+    /// Not 0: Gaussians are blended in the order of their distances instead of their z, so that none swap places when the camera
+    /// turns. Frames with it need AshsplatReservation.distance_order.
+    pub distance_order: u32,
 }
 
 /// Returns the value of an enumeration's number.
@@ -628,6 +634,7 @@ impl AshsplatRenderSettings {
             dilation_px2,
             antialias_detached: self.antialias_detached != 0,
             filter_3d: self.filter_3d != 0,
+            distance_order: self.distance_order != 0,
             ..standard
         })
     }

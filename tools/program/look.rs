@@ -32,6 +32,9 @@ pub struct LookArguments {
     /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training, or as the file says]
     #[arg(long)]
     antialiasing: bool,
+    /// Blend in the order of distances instead of z, so that colours do not pop when the camera turns [default: as in training]
+    #[arg(long)]
+    distance_order: bool,
     /// Low-pass filter: variance added on the screen, square pixels [default: as in training, or as the file says, else 0.3]
     #[arg(long, value_name = "PX2")]
     kernel_size: Option<f32>,
@@ -60,6 +63,7 @@ impl LookArguments {
         }
         settings.sh_degree = self.sh_degree;
         settings.antialias |= self.antialiasing;
+        settings.distance_order |= self.distance_order;
         if let Some(kernel_size) = self.kernel_size {
             if !(kernel_size > 0.0 && kernel_size <= MOST_KERNEL_SIZE) {
                 let problem = format!(

@@ -270,6 +270,9 @@ static void measures(char **arguments) {
     REFUSED_FRAME(&stage, "AshsplatReservation.filter_3d");
     stage.wanted.filter_3d = 1;
     stage_reserve(&stage);
+    settings.distance_order = 1;
+    REFUSED_FRAME(&stage, "AshsplatReservation.distance_order");
+    settings.distance_order = 0;
     check(stage_record(&stage), "recording");
     uint64_t buffer = 0, offset = 0;
     check(ashsplat_slot_pixels(renderer, 0, &buffer, &offset), "asking for the pixels");

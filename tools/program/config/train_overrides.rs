@@ -31,7 +31,15 @@ const HEADINGS: [(&str, &[&str]); 4] = [
     ("Loss", &["lambda_dssim", "opacity_reg", "scale_reg", "surface", "depth_", "dropout"]),
     (
         "Picture",
-        &["white_background", "random_background", "antialiasing", "kernel_size", "filter_3d", "sh_degree"],
+        &[
+            "white_background",
+            "random_background",
+            "antialiasing",
+            "kernel_size",
+            "filter_3d",
+            "distance_order",
+            "sh_degree",
+        ],
     ),
 ];
 
