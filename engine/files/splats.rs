@@ -283,9 +283,9 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         header.warnings.iter().map(|warning| named(input, warning.clone())).collect()
     };
     let mut warnings: Vec<String> = inputs.iter().zip(&headers).flat_map(own).collect();
-    let Header { antialiased, kernel_size, .. } = *first;
+    let Header { antialiased, kernel_size, distance_order, .. } = *first;
     let is_2dgs = headers.iter().any(|header| header.is_2dgs);
-    let marks = WriteOptions { antialiased, kernel_size, is_2dgs, ..Default::default() };
+    let marks = WriteOptions { antialiased, kernel_size, distance_order, is_2dgs, ..Default::default() };
     warnings.extend(format.losses(wanted_degree, &marks));
     let count = headers.iter().map(|header| header.count).fold(0, u64::saturating_add);
     if options.decimate.is_some() {

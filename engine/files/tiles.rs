@@ -212,8 +212,8 @@ impl Spill {
         })?;
         let folder = folder.join(ROWS);
         fs::create_dir(&folder).on(&folder, "create")?;
-        let splats::Header { sh_degree, antialiased, kernel_size, is_2dgs, .. } = header;
-        let marks = WriteOptions { antialiased, kernel_size, is_2dgs, ..Default::default() };
+        let splats::Header { sh_degree, antialiased, kernel_size, distance_order, is_2dgs, .. } = header;
+        let marks = WriteOptions { antialiased, kernel_size, distance_order, is_2dgs, ..Default::default() };
         let spill = Spill { means, origin, warnings, folder, cells, sh_degree, marks };
         splats::open(input, read)?.blocks(&mut |mut block| {
             progress.check()?;

@@ -408,7 +408,7 @@ options! {
         /// iterations as well, but not within 300 after the start or an opacity reset; 0 for none
         late_min_opacity: f64 = 0.0, Bounds::Share;
         /// Blend in the order of distances instead of z, so that colours do not pop when the camera turns. Viewers that sort by z draw
-        /// such a scene worse
+        /// such a scene worse; PLY and glTF are marked
         distance_order: bool = false, Bounds::None;
         /// White background instead of black
         white_background: bool = false, Bounds::None;

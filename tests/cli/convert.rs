@@ -45,11 +45,11 @@ fn formats_are_listed() {
     for (line, format) in lines.iter().zip(Format::ALL) {
         assert!(line.starts_with(&format!("{}: read: ", format.extension())), "{line}");
     }
-    assert!(
-        listed.contains("written: no; holds Gaussians, spherical harmonics; loses antialiasing, kernel size")
-    );
+    assert!(listed.contains(
+        "written: no; holds Gaussians, spherical harmonics; loses antialiasing, kernel size and order"
+    ));
     assert!(lines[0].ends_with(
-        "holds Gaussians, spherical harmonics, antialiasing, kernel size, the mark of 2DGS; loses nothing"
+        "holds Gaussians, spherical harmonics, antialiasing, kernel size and order, the mark of 2DGS; loses nothing"
     ));
     place.run("convert").refused(&["IN... OUT"]);
 }

@@ -79,7 +79,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     say!("file       {}", model.ply.display());
     let antialiased = if scene.header.antialiased { ", trained with antialiasing" } else { "" };
     let kernel = scene.header.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
-    say!("format     {}{antialiased}{kernel}", scene.header.format);
+    let order = if scene.header.distance_order { ", ordered by distance" } else { "" };
+    say!("format     {}{antialiased}{kernel}{order}", scene.header.format);
     summary.print();
     if scene.dropped > 0 {
         say!("dropped    {} that are not finite", thousands(scene.dropped));
@@ -277,6 +278,7 @@ impl Summary {
             "format": scene.header.format.to_string(),
             "antialiased": scene.header.antialiased,
             "kernel_size": scene.header.kernel_size,
+            "distance_order": scene.header.distance_order,
             "dropped": scene.dropped,
             "sh_degree": self.sh_degree,
             "bounds": self.bounds.map(corners_json),

@@ -65,10 +65,19 @@ impl FileNotes {
     fn of(file: &splats::Scene) -> FileNotes {
         let kernel =
             |size: f32| format!("it was trained with the kernel size {size}: AshsplatRenderSettings has it");
+        let order = file.header.distance_order.then(|| {
+            "it was trained in the order of distances: AshsplatRenderSettings.distance_order".to_owned()
+        });
         let [x, y, z] = file.frame.origin.to_array();
         let origin = ([x, y, z] != [0.0; 3]).then(|| format!("positions are relative to {x},{y},{z}"));
-        let warnings: Vec<String> =
-            file.warnings.iter().cloned().chain(file.header.kernel_size.map(kernel)).chain(origin).collect();
+        let warnings: Vec<String> = file
+            .warnings
+            .iter()
+            .cloned()
+            .chain(file.header.kernel_size.map(kernel))
+            .chain(order)
+            .chain(origin)
+            .collect();
         FileNotes { antialiased: file.header.antialiased, warnings: c_text(&warnings.join("\n")) }
     }
 

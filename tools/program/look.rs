@@ -101,7 +101,8 @@ pub fn settings_of(trained: &Settings) -> RenderSettings {
 pub fn look_of(trained: &Settings, header: &splats::Header) -> RenderSettings {
     let look = settings_of(trained);
     let dilation_px2 = header.kernel_size.unwrap_or(look.dilation_px2);
-    RenderSettings { antialias: look.antialias || header.antialiased, dilation_px2, ..look }
+    let distance_order = look.distance_order || header.distance_order;
+    RenderSettings { antialias: look.antialias || header.antialiased, dilation_px2, distance_order, ..look }
 }
 
 /// Parses three comma-separated numbers.

@@ -131,6 +131,7 @@ impl PlyHeader {
         splats::Header {
             antialiased: self.marks.mode == RenderMode::Mip,
             kernel_size: self.marks.kernel_size,
+            distance_order: self.marks.distance_order,
             is_2dgs: self.marks.mode == RenderMode::Disks,
             origin: self.origin,
             unit: self.unit,
@@ -153,6 +154,8 @@ pub(crate) struct Marks {
     pub(crate) mode: RenderMode,
     /// Variance that training added on the screen, square pixels.
     pub(crate) kernel_size: Option<f32>,
+    /// True if the Gaussians are to be blended in the order of distances.
+    pub(crate) distance_order: bool,
     /// The up axis, in nerfstudio's notation.
     pub(crate) up: Option<&'static str>,
 }
@@ -184,6 +187,7 @@ impl Marks {
             ["antialiased" | "mip", value @ ("0" | "1" | "false" | "true")] => {
                 self.mode = is_mip(matches!(value, "1" | "true"));
             }
+            ["distance_order", value] => self.distance_order = value == "true",
             ["kernel_size", size] => self.kernel_size = size.parse().ok().filter(is_kernel_size),
             ["vertical", "axis", axis] => {
                 let axes = [("x", "1,0,0"), ("y", "0,1,0"), ("z", "0,0,1")];
@@ -203,12 +207,15 @@ impl Marks {
         }
     }
 
-    /// Writes the marks in the notation of other programs.
+    /// Writes the marks, in the notation of other programs where they have one.
     pub(super) fn write(writer: &mut impl Write, outline: &Outline) -> io::Result<()> {
         if outline.options.antialiased {
             writeln!(writer, "comment SplatRenderMode: mip")?;
         } else if outline.options.is_2dgs {
             writeln!(writer, "comment SplatRenderMode: 2dgs")?;
+        }
+        if outline.options.distance_order {
+            writeln!(writer, "comment distance_order=true")?;
         }
         match outline.options.kernel_size {
             Some(size) => writeln!(writer, "comment kernel_size={size}"),

@@ -61,6 +61,7 @@ struct Traits {
     rounded: &'static str,
     max_sh_degree: u32,
     antialiased: bool,
+    /// It holds the kernel size, and whether the order is that of distances.
     kernel_size: bool,
     is_2dgs: bool,
     origin: OriginPlace,
@@ -192,7 +193,7 @@ impl Format {
             ("Gaussians", true),
             ("spherical harmonics", self.max_sh_degree() > 0),
             ("antialiasing", self.keeps_antialiased()),
-            ("kernel size", self.traits().kernel_size),
+            ("kernel size and order", self.traits().kernel_size),
             ("the mark of 2DGS", self.traits().is_2dgs),
         ];
         let names = |held: bool| {
@@ -206,7 +207,7 @@ impl Format {
 
     /// Names what Gaussians of this SH degree and with these marks lose in the format.
     pub(crate) fn losses(self, sh_degree: u32, marks: &WriteOptions) -> Vec<String> {
-        let WriteOptions { antialiased, kernel_size, is_2dgs, .. } = *marks;
+        let WriteOptions { antialiased, kernel_size, distance_order, is_2dgs, .. } = *marks;
         let mut losses = Vec::new();
         if sh_degree > self.max_sh_degree() {
             losses.push(format!("{self} holds no spherical harmonics: the view dependence is lost"));
@@ -216,6 +217,11 @@ impl Format {
         }
         if let Some(size) = kernel_size.filter(|_| !self.traits().kernel_size) {
             losses.push(format!("{self} cannot hold the kernel size: draw it with --kernel-size {size}"));
+        }
+        if distance_order && !self.traits().kernel_size {
+            losses.push(format!(
+                "{self} cannot say that the order is that of distances: draw it with --distance-order"
+            ));
         }
         if is_2dgs && !self.traits().is_2dgs {
             losses.push(format!("{self} cannot say that this is a 2DGS scene"));

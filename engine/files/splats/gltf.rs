@@ -96,6 +96,7 @@ pub(super) fn open(path: &Path, format: Format, options: &ReadOptions) -> Result
                 warn(format!("the kernel {kernel:?} is drawn as an ellipse"));
             }
             header.antialiased |= extension.extras.antialiased;
+            header.distance_order |= extension.extras.distance_order;
             let kernel_size = extension.extras.kernel_size.map(|size| size as f32);
             header.kernel_size = kernel_size.filter(is_kernel_size).or(header.kernel_size);
             let (document, buffers) = (&document, &buffers);
@@ -431,6 +432,7 @@ struct SplatsExtension {
 #[serde(default)]
 struct SplatsExtras {
     antialiased: bool,
+    distance_order: bool,
     kernel_size: Option<f64>,
 }
 

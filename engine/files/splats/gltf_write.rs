@@ -214,6 +214,9 @@ fn scene(
     if outline.options.antialiased {
         extension["extras"]["antialiased"] = json!(true);
     }
+    if outline.options.distance_order {
+        extension["extras"]["distance_order"] = json!(true);
+    }
     if let Some(size) = outline.options.kernel_size {
         // The shortest decimal number with the same f32.
         extension["extras"]["kernel_size"] = json!(size.to_string().parse::<f64>().ok());

@@ -32,6 +32,8 @@ pub struct Header {
     pub antialiased: bool,
     /// Variance that training added on the screen, square pixels; `None` if the file does not say.
     pub kernel_size: Option<f32>,
+    /// True if the Gaussians were trained in the order of distances and need it ([`RenderSettings::distance_order`]).
+    pub distance_order: bool,
     /// True for a scene of 2DGS, whose disks are used as Gaussians without thickness.
     pub is_2dgs: bool,
     /// Origin of the positions, source coordinates; not zero for scenes far from the source's own origin.
@@ -49,11 +51,12 @@ impl Header {
         Self { format, count, sh_degree, ..Self::default() }
     }
 
-    /// Antialiasing and kernel size, for messages.
+    /// Antialiasing, kernel size and order, for messages.
     pub(crate) fn marks_in_words(&self) -> String {
         let with = if self.antialiased { "with" } else { "without" };
         let kernel = self.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
-        format!("{with} antialiasing{kernel}")
+        let order = if self.distance_order { ", ordered by distance" } else { "" };
+        format!("{with} antialiasing{kernel}{order}")
     }
 }
 
@@ -80,6 +83,8 @@ pub struct WriteOptions {
     pub antialiased: bool,
     /// See [`Header::kernel_size`]; kept in PLY and glTF.
     pub kernel_size: Option<f32>,
+    /// See [`Header::distance_order`]; kept in PLY and glTF.
+    pub distance_order: bool,
     /// Marks a scene of 2DGS ([`Header::is_2dgs`]); PLY keeps it.
     pub is_2dgs: bool,
     /// Version of SPZ. SPZ: 2, 3 or 4; `None` for 4. GLB: 2 packs the attributes as
@@ -96,7 +101,8 @@ impl WriteOptions {
     pub fn marking(settings: &RenderSettings) -> Self {
         let usual = RenderSettings::default().dilation_px2;
         let kernel_size = Some(settings.dilation_px2).filter(|size| *size != usual);
-        Self { antialiased: settings.antialias, kernel_size, ..Self::default() }
+        let distance_order = settings.distance_order;
+        Self { antialiased: settings.antialias, kernel_size, distance_order, ..Self::default() }
     }
 }
 

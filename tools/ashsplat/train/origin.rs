@@ -261,6 +261,9 @@ fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Sc
     if let Some(size) = scene.header.kernel_size.filter(|size| *size != settings.train.kernel_size as f32) {
         tell!("warning: {}: was trained with --kernel-size {size}; train with it, too", path.display());
     }
+    if scene.header.distance_order && !settings.train.distance_order {
+        tell!("warning: {}: was trained with --distance-order; train with it, too", path.display());
+    }
     for warning in &scene.warnings {
         tell!("warning: {warning}");
     }
