@@ -1,36 +1,55 @@
 //! Cameras with a lens or a rolling shutter: parts of pictures, scenes on all sides, training, and refusals. Golden vectors
 //! judge their pictures and gradients (tests/golden/lenses.rs).
 
+use crate::common::engine;
 use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
 use crate::common::training::{psnr, without_rates};
-use ashsplat::scene::{Intrinsics, PhotoLens, Projection, Readout, Shutter};
+use ashsplat::scene::{Intrinsics, PhotoLens, Projection, Readout, Shutter, Twist};
 use glam::vec3;
 
-/// Cameras of each family, in the middle of [`ball`].
-fn cameras() -> Vec<Camera> {
-    let inside = |camera: Camera| Camera { translation: Vec3::new(0.1, -0.2, 0.3), ..camera };
-    let [wide, around] = [(96, 64), (128, 64)].map(|(width, height)| {
-        inside(Camera { width, height, cx: 0.5 * width as f32, cy: 0.5 * height as f32, ..camera(0.3) })
-    });
-    let lenses: [(Projection, f32, &[f32]); 6] = [
-        (Projection::Brown, 70.0, &[-0.2, 0.03, 0.004, -0.003]),
-        (Projection::Fov, 60.0, &[0.9]),
-        (Projection::Division, 60.0, &[-0.2]),
-        (Projection::Eucm, 60.0, &[0.6, 1.1]),
-        (Projection::Fisheye, 24.0, &[-0.02, 0.004]),
-        (Projection::ThinPrismFisheye, 30.0, &[-0.02, 0.003, 0.0, 0.0, 0.0, 0.0, 0.002, -0.003, 0.004]),
-    ];
-    let with = |(projection, focal, coefficients): (Projection, f32, &[f32])| {
-        Camera { fx: focal, fy: focal, ..wide }.with_lens(projection, coefficients)
+/// Camera with a lens, in the middle of [`ball`], and the number of the lens's coefficients.
+fn through(projection: Projection) -> (Camera, usize) {
+    let (focal, coefficients): (f32, &[f32]) = match projection {
+        Projection::Perspective | Projection::Orthographic => (70.0, &[]),
+        Projection::Brown => (70.0, &[-0.2, 0.03, 0.004, -0.003, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        Projection::Fov => (60.0, &[0.9]),
+        Projection::Division => (60.0, &[-0.2]),
+        Projection::Eucm => (60.0, &[0.6, 1.1]),
+        Projection::Fisheye => (24.0, &[-0.02, 0.004, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        Projection::ThinPrismFisheye => {
+            (30.0, &[-0.02, 0.003, 0.0, 0.0, 0.0, 0.0, 0.002, -0.003, 0.004, 0.0, 0.0, 0.0])
+        }
+        Projection::Equirectangular => (0.0, &[]),
     };
-    let panorama = around.with_colmap_lens(17, &[128.0, 64.0]).expect("a panorama");
-    let with_lenses: Vec<Camera> = lenses.into_iter().map(with).chain([panorama]).collect();
+    let inside = |width: u32| {
+        let [cx, cy] = [0.5 * width as f32, 32.0];
+        Camera { width, height: 64, cx, cy, translation: Vec3::new(0.1, -0.2, 0.3), ..camera(0.3) }
+    };
+    let camera = match projection {
+        Projection::Equirectangular => inside(128).with_colmap_lens(17, &[128.0, 64.0]).expect("a panorama"),
+        _ => Camera { fx: focal, fy: focal, ..inside(96) }.with_lens(projection, coefficients),
+    };
+    (camera, coefficients.len())
+}
+
+fn lenses() -> impl Iterator<Item = Projection> {
+    Projection::ALL.into_iter().filter(|projection| projection.is_lens())
+}
+
+fn rolling(readout: Readout, camera: Camera) -> Camera {
     let (turn, shift) = (Vec3::new(0.05, -0.12, 0.08), Vec3::new(0.1, 0.02, -0.06));
-    let rolling = |readout, camera| Camera { shutter: Some(Shutter { readout, turn, shift }), ..camera };
-    let pinhole = Camera { fx: 70.0, fy: 68.0, ..wide };
-    let shutters = [rolling(Readout::Left, with_lenses[4]), rolling(Readout::Down, pinhole)];
-    with_lenses.into_iter().chain(shutters).collect()
+    Camera { shutter: Some(Shutter { readout, turn, shift }), ..camera }
+}
+
+fn rolling_pinhole() -> Camera {
+    rolling(Readout::Down, Camera { fy: 68.0, ..through(Projection::Perspective).0 })
+}
+
+/// Cameras of each family, and with a rolling shutter.
+fn cameras() -> impl Iterator<Item = Camera> {
+    let shutters = [rolling(Readout::Left, through(Projection::Fisheye).0), rolling_pinhole()];
+    lenses().map(|lens| through(lens).0).chain(shutters)
 }
 
 /// Positions and depths in a picture lead back to the points shown there, also for parts and rolling shutters.
@@ -82,7 +101,7 @@ fn a_part_of_a_lenss_picture_has_the_pixels_of_the_whole() {
 /// Turning a panorama about the vertical axis shifts its picture, also across the seam.
 #[test]
 fn a_turned_panorama_is_moved_through_its_seam() {
-    let panorama = cameras()[6];
+    let (panorama, _) = through(Projection::Equirectangular);
     let mut renderer = renderer();
     renderer.upload(&ball(400).with_sh_degree(0)).expect("uploaded");
     let [straight, turned] = [0.0, std::f32::consts::PI / 2.0].map(|angle| {
@@ -107,8 +126,8 @@ fn a_turned_panorama_is_moved_through_its_seam() {
 
 #[test]
 fn lenses_without_a_picture_are_refused() {
-    let all = cameras();
-    let (brown, panorama) = (all[0], all[6]);
+    let [(brown, _), (panorama, _)] = [Projection::Brown, Projection::Equirectangular].map(through);
+    let pinhole = rolling_pinhole();
     let says = |camera: Camera, words: &[&str]| assert_says(refusal(camera.check()), words);
     says(brown.with_lens(Projection::Brown, &[-2.0]), &["folds the picture within the image"]);
     says(brown.with_lens(Projection::Brown, &[f32::NAN]), &["coefficients", "brown has 9"]);
@@ -116,8 +135,8 @@ fn lenses_without_a_picture_are_refused() {
     says(Camera { projection: Projection::Perspective, ..brown }, &["perspective has 0"]);
     says(Camera { height: 60, ..panorama }, &["128x60", "2:1"]);
     says(Camera { fx: 30.0, ..panorama }, &["all around"]);
-    let rolling = Camera { shutter: all[8].shutter, ..brown };
-    says(Camera { projection: Projection::Orthographic, ..all[8] }, &["orthographic", "rolling shutter"]);
+    let rolling = Camera { shutter: pinhole.shutter, ..brown };
+    says(Camera { projection: Projection::Orthographic, ..pinhole }, &["orthographic", "rolling shutter"]);
     let shutter = rolling.shutter.map(|shutter| Shutter { shift: Vec3::NAN, ..shutter });
     says(Camera { shutter, ..rolling }, &["motion of the shutter"]);
     assert!(brown.with_colmap_lens(4, &[1.0; 7]).is_none() && brown.with_colmap_lens(18, &[]).is_none());
@@ -131,7 +150,9 @@ fn lenses_without_a_picture_are_refused() {
 #[test]
 fn photographs_are_learned_through_their_lenses() {
     let truth = ball(120).with_sh_degree(0);
-    let views = photographed(&truth, cameras().into_iter().step_by(2));
+    let lenses = [Projection::Brown, Projection::Division, Projection::Fisheye, Projection::Equirectangular];
+    let lenses = lenses.into_iter().map(|lens| through(lens).0);
+    let views = photographed(&truth, lenses.chain([rolling_pinhole()]));
     let mut start = truth.clone();
     start.sh.iter_mut().for_each(|color| *color = color.map(|c| 0.3 * c + 0.1));
     let settings = TrainSettings {
@@ -165,6 +186,165 @@ fn photographs_are_learned_through_their_lenses() {
     let moved =
         TrainSettings { iterations: 20, pose_opt: true, lens_opt: true, densify_until_iter: 19, ..settings };
     Run::shared(views, moved).starting_at(&start).check_stops(&[&[9]]);
+}
+
+/// Left, top, right and bottom of the pixels that [`covering`] covers.
+const WINDOW: [u32; 4] = [58, 24, 66, 32];
+
+fn window(camera: &Camera) -> impl Iterator<Item = usize> + use<> {
+    let ([left, top, right, bottom], width) = (WINDOW, camera.width);
+    (top..bottom).flat_map(move |y| (left..right).map(move |x| (y * width + x) as usize))
+}
+
+fn in_camera(camera: &Camera, mean: Vec3) -> Vec3 {
+    camera.camera_from_world * mean + camera.translation
+}
+
+/// Gaussians that cover the window with alphas far above the cut at 1/255, so that its pixels are smooth functions of all numbers. They
+/// are in front of the camera, or close to it on all sides, where Jacobians replace some unscented transforms.
+fn covering(renderer: &mut Renderer, camera: &Camera, is_inside: bool) -> Gaussians {
+    const COUNT: usize = 6;
+    let mut random = Random::new(5);
+    let [left, top, ..] = WINDOW.map(f64::from);
+    let points = camera.points();
+    let mut all = Vec::new();
+    for _ in 0..4000 {
+        let (mut gaussian, far) = (gaussian(&mut random, 1.0, [-1.2, -0.1], 4), random.between(1.0, 4.0));
+        let mean = match is_inside {
+            true => camera.position() + Vec3::from(gaussian.mean.map(|x| x as f32)),
+            false => {
+                let position = [left + random.between(-2.0, 10.0), top + random.between(-2.0, 10.0)];
+                gaussian.log_scale = gaussian.log_scale.map(|scale| scale + far.ln() - 1.1);
+                points(position.map(|x| x as f32), far as f32)
+            }
+        };
+        gaussian.mean = mean.to_array().map(f64::from);
+        gaussian.opacity_logit = random.between(-1.0, 0.5);
+        // No colour is held at 0.
+        gaussian.sh[0] = gaussian.sh[0].map(f64::abs);
+        renderer.upload(&engine::gaussians(std::slice::from_ref(&gaussian))).expect("uploaded");
+        let frame = renderer.render(camera, &RenderSettings::default()).expect("a frame");
+        // The order of depths jumps, and so does what the near plane cuts off.
+        let depth = camera.projection.depth_of(in_camera(camera, mean).as_dvec3());
+        let is_apart = all.iter().all(|&(_, other): &(Gaussian, f64)| (depth / other - 1.0).abs() > 0.06);
+        if depth > 0.3 && is_apart && window(camera).all(|pixel| 1.0 - frame.transmittance[pixel] > 0.02) {
+            all.push((gaussian, depth));
+        }
+        if all.len() == COUNT {
+            return engine::gaussians(&all.into_iter().map(|(gaussian, _)| gaussian).collect::<Vec<_>>());
+        }
+    }
+    panic!("{:?}: {} Gaussians cover the window", camera.projection, all.len());
+}
+
+/// A number by which a picture is differentiated.
+#[derive(Clone, Copy, Debug)]
+enum Number {
+    /// A focal length, a coordinate of the principal point, or a coefficient.
+    Lens(usize),
+    Pose(usize),
+    Mean(usize),
+}
+
+impl Number {
+    /// Largest step: pixels, coefficients, units of the scene or radians.
+    fn step(self) -> f64 {
+        match self {
+            Number::Lens(0..4) => 0.5,
+            Number::Lens(_) => 4e-3,
+            Number::Pose(_) | Number::Mean(_) => 0.01,
+        }
+    }
+
+    fn add(self, by: f64, camera: &mut Camera, scene: &mut Gaussians) {
+        match self {
+            Number::Lens(index) => {
+                let Camera { fx, fy, cx, cy, coefficients, .. } = camera;
+                *[fx, fy, cx, cy].into_iter().chain(coefficients).nth(index).expect("a parameter") +=
+                    by as f32;
+            }
+            Number::Pose(index) => {
+                let (turn, shift) =
+                    Twist::from_array(std::array::from_fn(|k| if k == index { by } else { 0.0 })).exp();
+                camera.camera_from_world = (turn * camera.camera_from_world.as_dmat3()).as_mat3();
+                camera.translation = (turn * camera.translation.as_dvec3() + shift).as_vec3();
+            }
+            Number::Mean(index) => scene.means.as_flattened_mut()[index] += by as f32,
+        }
+    }
+}
+
+/// Compares gradients with extrapolated central differences (Richardson) of several steps: a large one may change which points of an
+/// unscented transform are shown, a small one leaves float32's rounding.
+fn compare(
+    renderer: &mut Renderer,
+    camera: &Camera,
+    scene: &Gaussians,
+    numbers: impl Iterator<Item = Number>,
+) {
+    let settings = RenderSettings::default();
+    let mut weights = vec![[0.0; 3]; (camera.width * camera.height) as usize];
+    for pixel in window(camera) {
+        let [x, y] = [pixel as u32 % camera.width, pixel as u32 / camera.width].map(|x| 0.2 * x as f32);
+        weights[pixel] = [(x + 0.5 * y).sin(), (y - 1.5 * x).cos(), (0.2 * x * y).sin()];
+    }
+    renderer.upload(scene).expect("uploaded");
+    let gradients = renderer.gradients_with_pose(camera, &settings, &weights, None).expect("gradients");
+    for number in numbers {
+        let derivative = match number {
+            Number::Lens(index) => gradients.lens.expect("a lens")[index],
+            Number::Pose(index) => gradients.pose.expect("a pose")[index].into(),
+            Number::Mean(index) => gradients.parameters.means.as_flattened()[index].into(),
+        };
+        let moved = |by: f64| {
+            let (mut camera, mut scene) = (*camera, scene.clone());
+            number.add(by, &mut camera, &mut scene);
+            (camera, scene)
+        };
+        let mut loss = |by: f64| -> f64 {
+            let (camera, scene) = moved(by);
+            renderer.upload(&scene).expect("uploaded");
+            let color = renderer.render(&camera, &settings).expect("a frame").color;
+            let products = color.as_flattened().iter().zip(weights.as_flattened());
+            products.map(|(color, weight)| f64::from(*color) * f64::from(*weight)).sum()
+        };
+        let mut tried = Vec::new();
+        let agrees = [1.0, 0.3, 0.1, 0.03].into_iter().any(|share| {
+            let step = share * number.step().min(0.2 / derivative.abs());
+            if [-2.0, 2.0].into_iter().any(|steps| moved(steps * step).0.check().is_err()) {
+                return false;
+            }
+            let [near, far] = [step, 2.0 * step].map(|step| loss(step) - loss(-step));
+            let difference = (8.0 * near - far) / (12.0 * step);
+            tried.push((step, difference));
+            (difference - derivative).abs() < 2e-3 * derivative.abs() + 2e-5 / step
+        });
+        let projection = camera.projection;
+        assert!(agrees, "{projection:?} {number:?}: {derivative}, by differences (step, value) {tried:?}");
+    }
+}
+
+/// The limit at which Jacobians are held depends on the lens, and counts as a constant in its gradient. So Gaussians beyond it are left
+/// out there.
+#[test]
+fn gradients_through_lenses_are_those_of_differences() {
+    let mut renderer = renderer();
+    for (lens, is_inside) in lenses().flat_map(|lens| [false, true].map(|is_inside| (lens, is_inside))) {
+        let (camera, coefficients) = through(lens);
+        let scene = covering(&mut renderer, &camera, is_inside);
+        let means = (0..3 * scene.len()).step_by(4).map(Number::Mean);
+        compare(&mut renderer, &camera, &scene, (0..6).map(Number::Pose).chain(means));
+        let Some(([_, hold, ..], _)) = camera.lens_words().filter(|_| coefficients > 0) else { continue };
+        let is_held = |index: &usize| {
+            let at = in_camera(&camera, Vec3::from(scene.means[*index]));
+            !lens.orders_by_distance() && at.truncate().length() > hold * at.z
+        };
+        let others: Vec<usize> = (0..scene.len()).filter(|index| !is_held(index)).collect();
+        // From inside, other coefficients move points of the transform by whole pictures.
+        let is_compared = |k: &usize| !is_inside || *k < 4 || camera.coefficients[k - 4] != 0.0;
+        let numbers = (0..4 + coefficients).filter(is_compared).map(Number::Lens);
+        compare(&mut renderer, &camera, &scene.select(&others), numbers);
+    }
 }
 
 /// Views of a scene with their photographs.

@@ -25,10 +25,29 @@ const _: () = assert!(
 );
 
 const _: () = assert!(crate::scene::camera::NEAR_PLANE == c::NEAR_PLANE);
-const _: () = assert!(
-    Projection::Orthographic as u32 == c::PROJECTION_ORTHOGRAPHIC
-        && Projection::Equirectangular as u32 == c::PROJECTION_EQUIRECTANGULAR
-);
+
+/// Number by which kernels know a projection.
+const fn number_of(projection: Projection) -> u32 {
+    match projection {
+        Projection::Perspective => c::PROJECTION_PERSPECTIVE,
+        Projection::Orthographic => c::PROJECTION_ORTHOGRAPHIC,
+        Projection::Brown => c::PROJECTION_BROWN,
+        Projection::Fov => c::PROJECTION_FOV,
+        Projection::Division => c::PROJECTION_DIVISION,
+        Projection::Eucm => c::PROJECTION_EUCM,
+        Projection::Fisheye => c::PROJECTION_FISHEYE,
+        Projection::ThinPrismFisheye => c::PROJECTION_THIN_PRISM_FISHEYE,
+        Projection::Equirectangular => c::PROJECTION_EQUIRECTANGULAR,
+    }
+}
+const _: () = {
+    let mut place = 0;
+    while place < Projection::ALL.len() {
+        let projection = Projection::ALL[place];
+        assert!(number_of(projection) == projection as u32 && projection as usize == place);
+        place += 1;
+    }
+};
 
 /// Pose of a camera in device layout: rows of the rotation from world to camera, then the translation.
 pub fn pose_of(camera: &Camera) -> [f32; 12] {

@@ -23,8 +23,8 @@ pub struct Gradients {
     /// radians about the camera's centre. See [`Twist`](crate::scene::Twist). Only from [`Renderer::gradients_with_pose`].
     pub pose: Option<[f32; 6]>,
     /// Gradient with respect to the lens: focal lengths and principal point (fx, fy, cx, cy, pixels), then its
-    /// [coefficients](Camera::coefficients). Only from [`Renderer::gradients_with_pose`] of a camera with a lens; zeros for
-    /// panoramas.
+    /// [coefficients](Camera::coefficients). Which points the lens shows, and the limit beyond the picture's corners at which its
+    /// Jacobian is held, count as constants. Only from [`Renderer::gradients_with_pose`] of a camera with a lens; zeros for panoramas.
     pub lens: Option<[f64; 16]>,
 }
 

@@ -12,41 +12,56 @@ use super::camera::{Camera, Intrinsics};
 use glam::{DMat2, DVec2, DVec3, Mat3, Vec3, dvec2};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// How the directions of a camera reach its picture: a pinhole, parallel rays, or a family of lenses.
-///
-/// With p = (x, y, z) in camera space, a picture position is `(fx a' + cx, fy b' + cy)`. Lenses distort (a, b), which is (x, y)/z,
-/// or for fisheyes (x, y) θ/ρ with θ the angle from the axis and ρ = |(x, y)|. s = a² + b², and T(a, b) = (2 p1 a b + p2 (s + 2
-/// a²), 2 p2 a b + p1 (s + 2 b²)). [`Camera::coefficients`] are in the order of this list, which is COLMAP's.
-///
-/// Fisheyes and panoramas see behind the camera. Their depths, also those of pictures and of a host's surfaces, are distances
-/// from the camera's centre. Means and covariances on the screen come from the unscented transform, not from the lens's
-/// Jacobian at the mean, which is worse for large Gaussians.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[repr(u32)]
-pub enum Projection {
-    /// Through one point, the camera's centre: a pinhole.
-    #[default]
-    Perspective,
-    /// Parallel, along the camera's z axis, so that all Gaussians are seen from one direction. Only for rendered pictures:
-    /// training photographs and gradients need another projection.
-    Orthographic,
-    /// (a, b) (1 + k1 s + k2 s² + k3 s³ + n4 s⁴) / (1 + k4 s + k5 s² + k6 s³) + T: k1 k2 p1 p2 k3 k4 k5 k6 n4. COLMAP's
-    /// SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV; nerfstudio's and Metashape's k4 is n4.
-    Brown,
-    /// (a, b) atan(2 r tan(ω/2)) / (r ω), r = √s: ω. COLMAP's FOV.
-    Fov,
-    /// (a, b) 2 / (1 + √(1 - 4 k s)): k. COLMAP's SIMPLE_DIVISION, DIVISION.
-    Division,
-    /// (a, b) / (α √(β s + 1) + 1 - α): α β. COLMAP's EUCM.
-    Eucm,
-    /// For fisheyes' (a, b): (a, b) (1 + k1 s + k2 s² + k3 s³ + k4 s⁴) + T + (sx1, sy1) s: k1 k2 p1 p2 k3 k4 sx1 sy1. COLMAP's
-    /// OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE, THIN_PRISM_FISHEYE, SIMPLE_FISHEYE, FISHEYE.
-    Fisheye,
-    /// For fisheyes' (a, b): n + T(n; p1, p0) + (s0 S + s1 S², s2 S + s3 S²), n = (a, b) (1 + Σ ki s^(i+1)), S = n·n: k0 to k5 p0
-    /// p1 s0 s1 s2 s3. COLMAP's RAD_TAN_THIN_PRISM_FISHEYE.
-    ThinPrismFisheye,
-    /// (a', b') are the longitude atan2(x, z) and the latitude atan2(y, √(x² + z²)): no coefficients. COLMAP's EQUIRECTANGULAR.
-    Equirectangular,
+/// Declares projections and the list of them.
+macro_rules! projections {
+    ($(#[$about:meta])* pub enum $kind:ident { $($(#[$value_about:meta])* $value:ident,)* }) => {
+        $(#[$about])*
+        pub enum $kind { $($(#[$value_about])* $value,)* }
+
+        impl $kind {
+            /// All projections, in the order of their numbers.
+            pub const ALL: [Self; [$(stringify!($value)),*].len()] = [$(Self::$value),*];
+        }
+    };
+}
+
+projections! {
+    /// How the directions of a camera reach its picture: a pinhole, parallel rays, or a family of lenses.
+    ///
+    /// With p = (x, y, z) in camera space, a picture position is `(fx a' + cx, fy b' + cy)`. Lenses distort (a, b), which is (x, y)/z,
+    /// or for fisheyes (x, y) θ/ρ with θ the angle from the axis and ρ = |(x, y)|. s = a² + b², and T(a, b) = (2 p1 a b + p2 (s + 2
+    /// a²), 2 p2 a b + p1 (s + 2 b²)). [`Camera::coefficients`] are in the order of this list, which is COLMAP's.
+    ///
+    /// Fisheyes and panoramas see behind the camera. Their depths, also those of pictures and of a host's surfaces, are distances
+    /// from the camera's centre. Means and covariances on the screen come from the unscented transform, not from the lens's
+    /// Jacobian at the mean, which is worse for large Gaussians.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u32)]
+    pub enum Projection {
+        /// Through one point, the camera's centre: a pinhole.
+        #[default]
+        Perspective,
+        /// Parallel, along the camera's z axis, so that all Gaussians are seen from one direction. Only for rendered pictures:
+        /// training photographs and gradients need another projection.
+        Orthographic,
+        /// (a, b) (1 + k1 s + k2 s² + k3 s³ + n4 s⁴) / (1 + k4 s + k5 s² + k6 s³) + T: k1 k2 p1 p2 k3 k4 k5 k6 n4. COLMAP's
+        /// SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV; nerfstudio's and Metashape's k4 is n4.
+        Brown,
+        /// (a, b) atan(2 r tan(ω/2)) / (r ω), r = √s: ω. COLMAP's FOV.
+        Fov,
+        /// (a, b) 2 / (1 + √(1 - 4 k s)): k. COLMAP's SIMPLE_DIVISION, DIVISION.
+        Division,
+        /// (a, b) / (α √(β s + 1) + 1 - α): α β. COLMAP's EUCM.
+        Eucm,
+        /// For fisheyes' (a, b): (a, b) (1 + k1 s + k2 s² + k3 s³ + k4 s⁴) + T + (sx1, sy1) s: k1 k2 p1 p2 k3 k4 sx1 sy1. COLMAP's
+        /// OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE, THIN_PRISM_FISHEYE, SIMPLE_FISHEYE, FISHEYE.
+        Fisheye,
+        /// For fisheyes' (a, b): n + T(n; p1, p0) + (s0 S + s1 S², s2 S + s3 S²), n = (a, b) (1 + Σ ki s^(i+1)), S = n·n: k0 to k5 p0
+        /// p1 s0 s1 s2 s3. COLMAP's RAD_TAN_THIN_PRISM_FISHEYE.
+        ThinPrismFisheye,
+        /// (a', b') are the longitude atan2(x, z) and the latitude atan2(y, √(x² + z²)): no coefficients. COLMAP's EQUIRECTANGULAR.
+        Equirectangular,
+    }
 }
 
 /// Names of COLMAP's camera models, by number: see [`Camera::with_colmap_lens`].
@@ -116,19 +131,6 @@ const RADIAL: Family = Family {
 };
 
 impl Projection {
-    /// All projections.
-    pub const ALL: [Self; 9] = [
-        Self::Perspective,
-        Self::Orthographic,
-        Self::Brown,
-        Self::Fov,
-        Self::Division,
-        Self::Eucm,
-        Self::Fisheye,
-        Self::ThinPrismFisheye,
-        Self::Equirectangular,
-    ];
-
     pub(super) fn family(self) -> Option<&'static Family> {
         match self {
             Self::Perspective | Self::Orthographic => None,

@@ -6,7 +6,8 @@
 // Means and covariances on the screen are those of the unscented transform, or where one of its points is not shown, of the
 // lens's Jacobian at the mean. A new family of lenses needs a PROJECTION_ constant; a file below lens/ with g, its two
 // derivatives and the gradient of its coefficients; a case in radial_at and in radial_backward; ANGULAR and BENDS below; the
-// host's file below engine/scene/lens/ and its lines in lens.rs; its keys in engine/files/transforms.rs; and C's enum.
+// host's file below engine/scene/lens/ and its lines in lens.rs; a camera in tests/lenses.rs; and C's enum. If COLMAP has it, lens.rs
+// has its models (COLMAP_MODELS, COLMAP_PARAMETERS, to_colmap); if nerfstudio has it, engine/files/transforms.rs has its keys.
 // Matrices are stored by rows: M v is `v * M`, and A B is `B * A`.
 // Needs constants.glsl, camera.glsl, camera_block.glsl, PROJECTION, and the requirements of shutter.glsl.
 
@@ -68,8 +69,9 @@ vec3 radial_at(float s) {
     case PROJECTION_DIVISION: return division_radial(s);
     case PROJECTION_EUCM: return eucm_radial(s);
     case PROJECTION_FISHEYE: return fisheye_radial(s);
-    default: return thin_prism_fisheye_radial(s);
+    case PROJECTION_THIN_PRISM_FISHEYE: return thin_prism_fisheye_radial(s);
     }
+    return vec3(0.0);
 }
 
 #ifdef DIFFERENTIATES_LENS

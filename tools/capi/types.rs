@@ -111,6 +111,7 @@ pub enum AshsplatProjection {
     /// Longitude and latitude: a panorama. fx is width/2pi, fy height/pi.
     Equirectangular = 8,
 }
+const _: () = assert!(AshsplatProjection::Equirectangular as usize + 1 == Projection::ALL.len());
 
 impl From<Camera> for AshsplatCamera {
     fn from(c: Camera) -> Self {

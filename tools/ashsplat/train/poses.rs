@@ -137,7 +137,14 @@ impl Run {
         // Undistorted photographs are in no folder.
         if !self.settings.data.undistort {
             let dataset = &self.settings.data.source_path;
-            refined::write(&folder.join(REFINED_FOLDER), dataset, &cameras, &self.views.frame)?;
+            let refined = folder.join(REFINED_FOLDER);
+            for name in refined::write(&refined, dataset, &cameras, &self.views.frame)? {
+                self.progress.warn(&format!(
+                    "warning: {}: not written, because it cannot hold a camera's lens or rolling shutter; {} has them",
+                    refined.join(name).display(),
+                    folder.join(CAMERAS_FILE).display()
+                ));
+            }
         }
         if !train.pose_opt {
             return Ok(());

@@ -10,9 +10,15 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Writes `sparse/0` and `transforms.json`. Each is left out if it cannot hold one of the lenses, or a rolling shutter. `dataset` has the
-/// photographs.
-pub fn write(folder: &Path, dataset: &Path, cameras: &[NamedCamera], frame: &WorldFrame) -> Result<()> {
+/// Writes `sparse/0` and `transforms.json`. Returns those that are left out, because they cannot hold one of the lenses, or a rolling
+/// shutter. `dataset` has the photographs.
+pub fn write(
+    folder: &Path,
+    dataset: &Path,
+    cameras: &[NamedCamera],
+    frame: &WorldFrame,
+) -> Result<Vec<&'static str>> {
+    let mut left_out = Vec::new();
     let mut lenses: Vec<ColmapCamera> = Vec::new();
     let images = (1..).zip(cameras).map(|(id, NamedCamera { name, camera })| {
         let own = ColmapCamera::of(0, camera).ok().filter(|_| camera.shutter.is_none())?;
@@ -26,8 +32,11 @@ pub fn write(folder: &Path, dataset: &Path, cameras: &[NamedCamera], frame: &Wor
         Some(image)
     });
     let images: Option<Vec<ColmapImage>> = images.collect();
-    if let Some(images) = images {
-        colmap::write(folder.join("sparse").join("0"), &lenses, &images, &PointCloud::default())?;
+    match images {
+        Some(images) => {
+            colmap::write(folder.join("sparse").join("0"), &lenses, &images, &PointCloud::default())?;
+        }
+        None => left_out.push("sparse/0"),
     }
     let frames = cameras.iter().map(|NamedCamera { name, camera }| {
         // Names of COLMAP's models are paths below the photographs' folder, others below the data set's.
@@ -36,9 +45,10 @@ pub fn write(folder: &Path, dataset: &Path, cameras: &[NamedCamera], frame: &Wor
     });
     let frames: Option<Vec<Value>> = frames.collect();
     match frames {
-        Some(frames) => output::write_json(&folder.join("transforms.json"), &json!({ "frames": frames })),
-        None => Ok(()),
+        Some(frames) => output::write_json(&folder.join("transforms.json"), &json!({ "frames": frames }))?,
+        None => left_out.push("transforms.json"),
     }
+    Ok(left_out)
 }
 
 fn source_of(frame: &WorldFrame, camera: &Camera) -> DVec3 {

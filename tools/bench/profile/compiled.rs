@@ -7,7 +7,8 @@ use crate::{compiled, machine, synthetic};
 use ashsplat::train::{MomentsType, OptimizerType, StrategyType};
 use ashsplat::vk::{CompileOnly, Context, PipelineStatistics, is_kernel_of};
 use ashsplat::{
-    Blending, Error, RenderSettings, Renderer, Reservation, Result, TrainSettings, TrainView, Trainer,
+    Blending, Error, RenderSettings, Renderer, Reservation, Result, SurfaceDepth, TrainSettings, TrainView,
+    Trainer,
 };
 use ashsplat_files::{Photo, StoredPhoto, atomic};
 use ashsplat_program::output;
@@ -189,6 +190,7 @@ fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
         selection: true,
         pick: true,
         motion: true,
+        surface: Some(SurfaceDepth::Median),
         ..Reservation::new(GAUSSIANS as u32, sh_degree, SIZE[0], SIZE[1])
     })
 }
