@@ -140,7 +140,7 @@ impl Run {
             let refined = folder.join(REFINED_FOLDER);
             for name in refined::write(&refined, dataset, &cameras, &self.views.frame)? {
                 self.progress.warn(&format!(
-                    "warning: {}: not written, because it cannot hold all cameras' lenses; {} has them",
+                    "warning: {}: not written, because it cannot hold a camera's lens or rolling shutter; {} has them",
                     refined.join(name).display(),
                     folder.join(CAMERAS_FILE).display()
                 ));
