@@ -36,7 +36,7 @@ pub enum ShStorage {
     /// A half each: 96 bytes. Rounded to the nearest by uploads, up or down at random by training, which takes packed moments then.
     Half,
     /// A byte each, but floats for the base colour: 64 bytes. A byte is a number of steps: of 1/128, as in SPZ files, where all of the
-    /// Gaussian's coefficients are multiples of it, otherwise of a step of its own. Only for drawing.
+    /// Gaussian's coefficients are multiples of it, and not both 1 and -1 among them, otherwise of a step of its own. Only for drawing.
     Bytes,
 }
 

@@ -207,12 +207,19 @@ pub(crate) fn pack_into(
 }
 
 impl ShStorage {
-    /// Returns the smallest storage in which these Gaussians keep their bits: bytes for those of SPZ files.
+    /// Returns the smallest storage in which these Gaussians keep their values: bytes for those of SPZ files (but for a Gaussian that
+    /// has both 1 and -1), halves for those that were trained in halves.
     pub fn lossless(gaussians: &Gaussians) -> Self {
         let mut all = gaussians.sh.chunks_exact(sh_coefficients(gaussians.sh_degree));
         let in_bytes = |own: &[[f32; 3]]| exact_step(own[1..].as_flattened()).is_some();
-        // Without higher degrees, bytes are as large as floats.
-        if gaussians.sh_degree > 0 && all.all(in_bytes) { Self::Bytes } else { Self::F32 }
+        let is_half = |value: &f32| f16::from_f32(*value).to_f32() == *value;
+        match gaussians.sh_degree {
+            // They are as large as floats.
+            0 => Self::F32,
+            _ if all.all(in_bytes) => Self::Bytes,
+            _ if gaussians.sh.as_flattened().iter().all(is_half) => Self::Half,
+            _ => Self::F32,
+        }
     }
 }
 

@@ -39,7 +39,7 @@ impl DeviceScene {
 
     /// Same as [`DeviceScene::upload`], with this storage of SH coefficients: 240, 144 or 112 bytes per Gaussian of SH degree 3.
     /// Frames that are recorded need [`Reservation::half_sh`](super::Reservation::half_sh) or
-    /// [`Reservation::byte_sh`](super::Reservation::byte_sh). [`ShStorage::lossless`] is drawn as floats are, to the bit.
+    /// [`Reservation::byte_sh`](super::Reservation::byte_sh). A scene is drawn alike, to the bit, in its [`ShStorage::lossless`].
     ///
     /// # Errors
     /// Same as [`DeviceScene::upload`].

@@ -33,7 +33,7 @@ pub(super) struct StepRecorder {
     sizes: LaunchSizes,
     appearance: Appearance,
     backward: Backward,
-    /// True if the scene stores SH in halves.
+    /// Storage of the scene's SH.
     sh_storage: ShStorage,
     /// Render settings of frames, without the depths of the loss terms.
     base_settings: RenderSettings,

@@ -96,6 +96,8 @@ fn sh_of_spz_files_are_exact_in_bytes() {
         }
         mirrored.sh[6][0] = -1.0;
         assert_eq!(ShStorage::lossless(&mirrored), ShStorage::F32);
+        mirrored.sh = nearest_halves(&mirrored);
+        assert_eq!(ShStorage::lossless(&mirrored), ShStorage::Half);
         exact.sh[4][0] = 0.3;
         assert_eq!(ShStorage::lossless(&exact), ShStorage::F32);
         assert_eq!(ShStorage::lossless(&cloud_of_degree(0, 9, 1)), ShStorage::F32);
@@ -147,6 +149,15 @@ fn stored_scenes_are_drawn_as_their_rounded_values() {
                 assert_drawn(host, &mut renderer, &RecordedFrame { settings: &lower, ..frame }, &rounded);
                 assert_eq!(scene.download().expect("Gaussians"), rounded);
             }
+            let mask =
+                &context.allocate("selection", &[("mask", 256)], MemoryKind::Device).expect("memory")[0];
+            context.upload(mask, &[0x55; 256]).expect("a mask");
+            let selection = Selection { mask, color: [1.0, 0.5, 0.0], share: 0.5 };
+            let selected = |own: &mut Renderer| own.render_selected(&camera, &SETTINGS, selection);
+            let floats = uploaded(&context, &scene.download().expect("Gaussians"));
+            let [stored_colors, float_colors] =
+                [&scene, &floats].map(|own| renderer.with_scene(own, selected).expect("a frame").color);
+            assert_eq!(stored_colors, float_colors);
             let differentiate =
                 |own: &mut Renderer| own.gradients(&camera, &SETTINGS, &[[0.0; 3]; 60 * 40], None).map(drop);
             assert_error(renderer.with_scene(&scene, differentiate), "its SH are not floats");

@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let protocol = protocol(&model, &gallery)?;
     check_sizes(&weights, &gallery, &chosen, !protocol.halves.is_empty())?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(&scene.gaussians)?;
+    renderer.upload_stored(&scene.gaussians, arguments.look.stored(&scene.gaussians))?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { inverse_depth: false, ..look };
     // With optimised poses, training views have their own; held-out views are aligned.

@@ -1,6 +1,7 @@
 //! `ashsplat info`.
 
 use ashsplat::ShStorage;
+use ashsplat::frame::max_trained_gaussians;
 use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
 use ashsplat::train::{Forecast, MomentsType, TrainSettings};
 use ashsplat::vk::{Context, ContextOptions};
@@ -118,7 +119,7 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         let mut all = dataset_json(&report);
         if let Some((_, fitting)) = &fitting {
             all["most_gaussians"] =
-                fitting.iter().map(|&(storage, most)| (storage.to_string(), json!(most))).collect();
+                fitting.iter().map(|&(storage, most, _)| (storage.to_string(), json!(most))).collect();
         }
         say!("{all:#}");
     } else if report.model.is_some() {
@@ -128,9 +129,12 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         [] => {
             if !arguments.json {
                 if let Some((most, fitting)) = fitting {
-                    for (storage, gaussians) in fitting {
+                    for (storage, gaussians, is_bound) in fitting {
+                        let bound = if is_bound { " (its buffers hold no more)" } else { "" };
                         let (most, gaussians) = (size(most), thousands(gaussians.into()));
-                        say!("memory    training in {most} can begin with {gaussians} Gaussians: {storage}");
+                        say!(
+                            "memory    training in {most} can begin with {gaussians} Gaussians: {storage}{bound}"
+                        );
                     }
                 }
                 let (dataset, model) = (&arguments.path, model::usual_folder(&arguments.path));
@@ -167,8 +171,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
     }
 }
 
-/// Storages of a training, and the most Gaussians that it can begin with in this much device memory.
-fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32); 3]> {
+/// Storages of a training, and the most Gaussians that it can begin with in this much device memory; true if the device's buffers
+/// hold no more.
+fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32, bool); 3]> {
     let context = Context::new(&ContextOptions { max_memory: Some(most), ..ContextOptions::default() })?;
     let usual = TrainSettings::default();
     let settings = [
@@ -180,7 +185,8 @@ fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32); 3]> {
         ),
     ];
     let photos = gallery.train_photos();
-    let mut found = [("", 0); 3];
+    let in_buffers = max_trained_gaussians(context.limits());
+    let mut found = [("", 0, false); 3];
     for (found, (storage, settings)) in found.iter_mut().zip(&settings) {
         let forecast = Forecast {
             settings,
@@ -190,7 +196,8 @@ fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32); 3]> {
             frozen: 0,
             capacities: None,
         };
-        *found = (storage, forecast.most_gaussians(&context)?);
+        let gaussians = forecast.most_gaussians(&context)?;
+        *found = (storage, gaussians, gaussians == in_buffers);
     }
     Ok(found)
 }

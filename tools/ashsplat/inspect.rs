@@ -59,7 +59,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = arguments.look.settings(&model.settings, &scene.header)?;
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(&scene.gaussians)?;
+    renderer.upload_stored(&scene.gaussians, arguments.look.stored(&scene.gaussians))?;
     let mut report = renderer.inspect(&camera, &settings, arguments.pixel)?;
     // Converts depths to source units.
     report.samples.iter_mut().for_each(|sample| sample.depth *= scene.frame.unit as f32);

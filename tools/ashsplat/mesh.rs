@@ -82,7 +82,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = RenderSettings { surface: Some(SurfaceDepth::Front), ..look };
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(&scene.gaussians)?;
+    renderer.upload_stored(&scene.gaussians, arguments.look.stored(&scene.gaussians))?;
     let stop = session::stop_on_ctrl_c()?;
     let bar = counting("views", 3 * cameras.len() as u64, arguments.quiet);
     let mut each = |work: &mut dyn FnMut(&mut Renderer, &Camera) -> Result<()>| {

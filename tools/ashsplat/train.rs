@@ -200,7 +200,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // A continued training keeps its coordinates.
     options.frame = origin.checkpoint().map(|checkpoint| checkpoint.frame);
     options.keep_opacity = settings.train.random_background;
-    options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
+    options.photo_memory = Some(photo_memory(&context, arguments.photo_memory, &settings.data.model_path));
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     origin.express_in(gallery.frame());
     let (mut settings, defaults) = given.settle_for(&mut gallery, origin.checkpoint(), origin.sh_degree())?;

@@ -286,7 +286,7 @@ pub enum AshsplatShStorage {
     /// Halves, each rounded to the nearest: 144 bytes. Frames that are recorded need AshsplatReservation.half_sh.
     Half = 1,
     /// Bytes, but floats for the base colour: 112 bytes. Exact where all other coefficients of a Gaussian are multiples of 1/128 from -1
-    /// to 1, as in SPZ files, otherwise rounded to steps of the largest / 127. Frames that are recorded need
+    /// to below 1, or from above -1 to 1, as in SPZ files, otherwise rounded to steps of the largest / 127. Frames that are recorded need
     /// AshsplatReservation.byte_sh.
     Bytes = 2,
 }

@@ -31,6 +31,8 @@ pub struct Scenery {
     shows_selection: bool,
     /// Storage of SH; none for the smallest that is exact.
     sh_storage: Option<ShStorage>,
+    /// Storage of the scene that is shown, or of the tree's coarsest tile: its other tiles have the same, or floats.
+    pub stored: ShStorage,
 }
 
 /// Colour of the selection, and its share of a Gaussian's colour.
@@ -62,7 +64,15 @@ fn upload(renderer: &mut Renderer, gaussians: &Gaussians, stored: Option<ShStora
 impl Scenery {
     /// Shows the renderer's scene.
     pub fn new(renderer: Renderer, sh_storage: Option<ShStorage>) -> Scenery {
-        Scenery { renderer, streaming: None, edits: None, mask: None, shows_selection: false, sh_storage }
+        Scenery {
+            renderer,
+            streaming: None,
+            edits: None,
+            mask: None,
+            shows_selection: false,
+            sh_storage,
+            stored: ShStorage::F32,
+        }
     }
 
     /// Shows a scene, or the tree whose coarsest tile it is.
@@ -71,14 +81,16 @@ impl Scenery {
         if !gaussians.is_empty() {
             upload(&mut self.renderer, gaussians, self.sh_storage)?;
         }
-        let (Some(streamed), Some(coarsest)) = (tree, self.renderer.scene()) else { return Ok(()) };
+        let scene = self.renderer.scene();
+        self.stored = scene.as_ref().map_or(ShStorage::F32, |scene| scene.plan().sh_storage);
+        let (Some(streamed), Some(coarsest)) = (tree, scene) else { return Ok(()) };
         let context = self.renderer.context().clone();
         let waiting = onlooker.clone();
         // Kernels of recorded frames are built for the storage of the coarsest tile, and for floats.
-        let (coarse, wanted) = (coarsest.plan().sh_storage, self.sh_storage);
-        let stored = move |tile: &Gaussians| match coarse {
-            ShStorage::F32 => ShStorage::F32,
-            _ => wanted.unwrap_or_else(|| ShStorage::lossless(tile)),
+        let (coarse, wanted) = (self.stored, self.sh_storage);
+        let stored = move |tile: &Gaussians| {
+            let own = wanted.unwrap_or_else(|| ShStorage::lossless(tile));
+            if own == coarse { own } else { ShStorage::F32 }
         };
         self.streaming = Some(Streaming {
             tree: streamed.tree.clone(),

@@ -66,8 +66,8 @@ pub fn stand_ins(views: usize) -> impl Iterator<Item = usize> {
     (0..views).step_by(views.div_ceil(STAND_IN_VIEWS).max(1))
 }
 
-/// Memory budget of photos: the requested one, or half of the known limit.
-pub fn photo_memory(context: &Context, requested: Option<u64>, model: &Path) -> Option<PhotoMemory> {
-    let bytes = requested.or_else(|| context.memory_limit().map(|(limit, _)| limit / 2))?;
-    Some(PhotoMemory { bytes, folder: existing_folder(model) })
+/// Memory budget of photos: the requested one, or half of the device's limit. Where the device has none, half of the host's bounds them.
+pub fn photo_memory(context: &Context, requested: Option<u64>, model: &Path) -> PhotoMemory {
+    let of_device = || context.memory_limit().map_or(u64::MAX, |(limit, _)| limit / 2);
+    PhotoMemory { bytes: requested.unwrap_or_else(of_device), folder: existing_folder(model) }
 }

@@ -142,8 +142,8 @@ impl Picture {
             // A tree may have more tiles than a frame can draw.
             scenes: scenes.min(Reservation::MAX_SCENES),
             images_only: true,
-            half_sh: scene.plan().sh_storage == ShStorage::Half,
-            byte_sh: scene.plan().sh_storage == ShStorage::Bytes,
+            half_sh: self.scenery.stored == ShStorage::Half,
+            byte_sh: self.scenery.stored == ShStorage::Bytes,
             blend_passes: before.map_or(1, |old| old.blend_passes),
             ..Reservation::new(gaussians, self.sh_degree, size[0], size[1])
         };
