@@ -143,6 +143,18 @@ typedef enum AshsplatShape {
   AshsplatShape_Point = 2,
 } AshsplatShape;
 
+// Storage of a scene's SH coefficients on the device.
+typedef enum AshsplatShStorage {
+  // Floats: a Gaussian of SH degree 3 takes 240 bytes with its other parameters.
+  AshsplatShStorage_F32 = 0,
+  // Halves, each rounded to the nearest: 144 bytes. Frames that are recorded need AshsplatReservation.half_sh.
+  AshsplatShStorage_Half = 1,
+  // Bytes, but floats for the base colour: 112 bytes. Exact where all other coefficients of a Gaussian are multiples of 1/128 from -1
+  // to below 1, or from above -1 to 1, as in SPZ files, otherwise rounded to steps of the largest / 127. Frames that are recorded need
+  // AshsplatReservation.byte_sh.
+  AshsplatShStorage_Bytes = 2,
+} AshsplatShStorage;
+
 // Depth at which a pixel's surface lies.
 typedef enum AshsplatSurfaceDepth {
   // The transmittance falls below a half.
@@ -762,8 +774,10 @@ typedef struct AshsplatReservation {
   uint64_t lens;
   // Not 0: frames will have cameras with a rolling shutter (AshsplatCamera.readout), beside others.
   uint64_t rolling_shutter;
-  // Not 0: scenes of frames will store SH in halves (ashsplat_scene_half), beside others.
+  // Not 0: scenes of frames will store SH in halves (ashsplat_scene_stored), beside others.
   uint64_t half_sh;
+  // Not 0: scenes of frames will store SH in bytes, beside others.
+  uint64_t byte_sh;
   // 0: frames will have no surfaces. Else 1 + the AshsplatSurfaceDepth of all of them: 16 bytes of memory per pixel and 16 per
   // Gaussian.
   uint64_t surface;
@@ -1283,15 +1297,15 @@ enum AshsplatStatus ashsplat_scene_new(const struct AshsplatContext *context,
                                        uint32_t capacity,
                                        struct AshsplatScene **scene);
 
-// Same as ashsplat_scene_new, with SH coefficients as halves, each rounded to the nearest: 144 bytes per Gaussian of SH degree 3 in
-// place of 240. Such a scene can only be drawn. Frames that are recorded need AshsplatReservation.half_sh.
+// Same as ashsplat_scene_new, with an AshsplatShStorage. Only a scene of floats can be differentiated.
 //
 // # Safety
 // As ashsplat_scene_new.
-enum AshsplatStatus ashsplat_scene_half(const struct AshsplatContext *context,
-                                        const struct AshsplatGaussians *gaussians,
-                                        uint32_t capacity,
-                                        struct AshsplatScene **scene);
+enum AshsplatStatus ashsplat_scene_stored(const struct AshsplatContext *context,
+                                          const struct AshsplatGaussians *gaussians,
+                                          uint32_t capacity,
+                                          uint32_t sh_storage,
+                                          struct AshsplatScene **scene);
 
 // Uploads `count` scenes from a host's arrays into as few buffers as kernels can bind, each with room for its own Gaussians: frames
 // draw small scenes of one buffer by one dispatch in place of one each (AshsplatSlotReport.batched_scenes). `scenes` has room for

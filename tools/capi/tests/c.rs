@@ -45,7 +45,7 @@ fn the_header_is_what_the_sources_say() {
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         // They are passed as numbers, so no function has them in its signature.
         export: ExportConfig {
-            include: ["Background", "ColorEncoding", "Extent", "ImageUse", "JacobianLimit", "Projection", "Readout", "Shape", "SurfaceDepth", "Volume"]
+            include: ["Background", "ColorEncoding", "Extent", "ImageUse", "JacobianLimit", "Projection", "Readout", "Shape", "ShStorage", "SurfaceDepth", "Volume"]
                 .map(|e| format!("Ashsplat{e}"))
                 .to_vec(),
             ..ExportConfig::default()
