@@ -5,6 +5,7 @@
 extern crate ashsplat_reference as reference;
 
 mod address_space;
+mod architecture;
 mod backends;
 mod barriers;
 mod blending_forms;
