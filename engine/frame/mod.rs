@@ -23,7 +23,6 @@ pub use camera_block::{POSE_BYTES, pose_of};
 pub use inputs::{FrameInputs, PlacedScene, PreviousView, SceneBuffers, SceneView};
 pub(crate) use inputs::{Parameters, Part};
 pub use launch_sizes::{BlendShape, LaunchSizes, SORT_ARRIVAL_BYTES, blocks, region_height};
-pub(crate) use plan::half_parameter_planes;
 pub use plan::{
     FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, ShStorage,
     gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,

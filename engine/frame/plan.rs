@@ -45,15 +45,11 @@ impl ShStorage {
     pub const fn planes(self, sh_degree: u32) -> u32 {
         match self {
             Self::F32 => parameter_planes(sh_degree),
-            Self::Half => half_parameter_planes(sh_degree),
+            // Two planes in one.
+            Self::Half => PLANE_SH + (parameter_planes(sh_degree) - PLANE_SH).div_ceil(2),
             Self::Bytes => PLANE_SH + 1 + sh_degree,
         }
     }
-}
-
-/// Same as [`parameter_planes`] with SH in halves, two planes in one.
-pub(crate) const fn half_parameter_planes(sh_degree: u32) -> u32 {
-    PLANE_SH + (parameter_planes(sh_degree) - PLANE_SH).div_ceil(2)
 }
 
 /// Returns the planes stored together with `plane`: the geometry, or one SH degree.

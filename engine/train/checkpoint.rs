@@ -9,7 +9,7 @@ use super::lens_opt::{LENS_STATE_VALUES, LensState};
 use super::schedule::Actions;
 use super::settings::{MomentsType, TrainSettings};
 use crate::error::{Error, Result};
-use crate::frame::half_parameter_planes;
+use crate::frame::ShStorage;
 use crate::kernels::constants::{PLANE_LOG_SCALE, PLANE_SH};
 use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Fingerprint, Gaussians, WorldFrame};
@@ -100,7 +100,7 @@ fn are_moments(planes: &[[u32; 4]]) -> bool {
 
 /// Number of `[u32; 4]` in the packed moments of a Gaussian with SH up to `sh_degree`.
 pub fn packed_planes(sh_degree: u32) -> usize {
-    half_parameter_planes(sh_degree) as usize
+    ShStorage::Half.planes(sh_degree) as usize
 }
 
 impl MomentState {

@@ -49,7 +49,7 @@ layout(constant_id = 10) const bool BROADCAST = false;
 layout(constant_id = 13) const bool SHARED_SPLATS = false;
 // True if the backward pass or a report reads last_entries.
 layout(constant_id = 14) const bool LAST_ENTRIES = true;
-// With DEPTH_LIMIT: splats come by distance, not by z.
+// True if splats are ordered by distance. Only forms with DEPTH_LIMIT read it: a splat behind the limit then ends no list.
 layout(constant_id = 18) const bool DISTANCE_ORDER = false;
 layout(local_size_x_id = 0) in;
 

@@ -40,7 +40,7 @@ layout(constant_id = 7) const bool COUNT_HITS = false;
 layout(constant_id = 8) const bool STRIPS = false;
 // See blend.comp.
 layout(constant_id = 14) const bool LAST_ENTRIES = true;
-// With DEPTH_LIMIT: splats come by distance, not by z.
+// True if splats are ordered by distance. Only forms with DEPTH_LIMIT read it: a splat behind the limit then ends no list.
 layout(constant_id = 18) const bool DISTANCE_ORDER = false;
 layout(local_size_x_id = 0) in;
 

@@ -242,7 +242,7 @@ impl View {
         self.size_px[0] as usize * self.size_px[1] as usize
     }
 
-    /// What splats are ordered by: z, or the distance of their means.
+    /// Returns the value that orders a splat: its z, or the distance of its mean.
     pub fn order_of(&self, splat: &Splat) -> f64 {
         if !self.drawn.distance_order || self.drawn.orthographic {
             return splat.depth;

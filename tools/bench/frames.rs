@@ -7,7 +7,6 @@ use super::workload::Scene;
 use super::workload::Storage;
 use super::{forms, synthetic};
 use ashsplat::frame::ScenePlan;
-use ashsplat::train::MomentsType;
 use ashsplat::vk::{Context, Profile};
 use ashsplat::{
     BlendSamples, Blending, FrameStats, RenderSettings, Renderer, Result, StepReport, TrainSettings,
@@ -235,7 +234,7 @@ fn counts(
     let sh_storage = storage.sh_storage;
     let plan = ScenePlan::new(context.limits(), capacity, sh_degree, sh_storage)?;
     let chunks = plan.ranges(gaussians).count() as u64;
-    let packed_moments = storage.moments() == MomentsType::Packed;
+    let packed_moments = storage.packed_moments;
     let counts = Counts {
         gaussians,
         width,

@@ -112,11 +112,11 @@ pub struct Storage {
     pub sh_storage: ShStorage,
     /// Train-step with packed moments of Adam
     #[arg(long)]
-    packed_moments: bool,
+    pub packed_moments: bool,
 }
 
 impl Storage {
-    /// What a report says behind the scene.
+    /// Returns the words for a report, which stand behind the scene's name.
     fn note(self) -> String {
         let moments = if self.packed_moments { ", packed moments" } else { "" };
         match self.sh_storage {

@@ -46,7 +46,7 @@ pub struct LookArguments {
 impl LookArguments {
     /// Storage of a scene's SH on the device.
     pub fn stored(&self, gaussians: &Gaussians) -> ShStorage {
-        self.sh_storage.unwrap_or_else(|| ShStorage::lossless(gaussians))
+        stored(self.sh_storage, gaussians)
     }
 
     /// Reads the Gaussians in their drawing frame; reports dropped ones and oddities on stderr.
@@ -117,6 +117,11 @@ pub fn parse_direction(text: &str) -> Result<Vec3, String> {
         Some(direction) => Ok(direction.as_vec3()),
         None => Err("expected a direction: three numbers that are not all 0".into()),
     }
+}
+
+/// Returns the wanted storage of SH, otherwise the smallest that is exact.
+pub fn stored(wanted: Option<ShStorage>, gaussians: &Gaussians) -> ShStorage {
+    wanted.unwrap_or_else(|| ShStorage::lossless(gaussians))
 }
 
 /// Parses a storage of SH.

@@ -14,6 +14,7 @@ use ashsplat::{
     TileReport,
 };
 use ashsplat_files::tiles::{Demand, Tree};
+use ashsplat_program::look;
 use loader::Loader;
 use residency::{Residency, is_memory};
 use serde_json::{Value, json};
@@ -57,8 +58,8 @@ struct Streaming {
     shown: Value,
 }
 
-fn upload(renderer: &mut Renderer, gaussians: &Gaussians, stored: Option<ShStorage>) -> Result<()> {
-    renderer.upload_stored(gaussians, stored.unwrap_or_else(|| ShStorage::lossless(gaussians)))
+fn upload(renderer: &mut Renderer, gaussians: &Gaussians, wanted: Option<ShStorage>) -> Result<()> {
+    renderer.upload_stored(gaussians, look::stored(wanted, gaussians))
 }
 
 impl Scenery {
@@ -88,9 +89,10 @@ impl Scenery {
         let waiting = onlooker.clone();
         // Kernels of recorded frames are built for the storage of the coarsest tile, and for floats.
         let (coarse, wanted) = (self.stored, self.sh_storage);
-        let stored = move |tile: &Gaussians| {
-            let own = wanted.unwrap_or_else(|| ShStorage::lossless(tile));
-            if own == coarse { own } else { ShStorage::F32 }
+        let stored = move |tile: &Gaussians| match coarse {
+            ShStorage::F32 => ShStorage::F32,
+            coarse if look::stored(wanted, tile) == coarse => coarse,
+            _ => ShStorage::F32,
         };
         self.streaming = Some(Streaming {
             tree: streamed.tree.clone(),
