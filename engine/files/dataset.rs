@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use crate::host_memory::HostMemory;
-use crate::images::{PhotoFile, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
+use crate::images::{PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
 use crate::progress::Progress;
 use ashsplat::passes::loss::DepthPoint;
@@ -106,7 +106,8 @@ impl Dataset {
         plan.check_split()?;
         let mut warnings = plan.warnings.clone();
         let needed = gallery.texel_bytes();
-        let file = photo_file(needed, options, &mut warnings)?;
+        let beyond = options.beyond_memory(needed);
+        let file = beyond.as_ref().map(PhotoMemory::create_file).transpose()?;
         let kept = gallery.map_bytes() + if file.is_some() { 0 } else { needed };
         let (list, total) = (plan.list.display(), planned.len());
         let what = || format!("{list}: keeping its {total} photos in memory (-r makes them smaller)");
@@ -116,10 +117,18 @@ impl Dataset {
             &DatasetOptions { host_memory: options.host_memory.beside_photos(kept), ..options.clone() };
         let done = AtomicUsize::new(0);
         progress.step(0, total);
-        let stored = |mut view: View| -> Result<View> {
-            if let Some(file) = &file {
-                view.photo = file.store(&view.photo)?;
-            }
+        let stored_in_file = AtomicUsize::new(0);
+        let store = |mut view: View, planned: &PlannedView| -> Result<View> {
+            let Some(file) = &file else { return Ok(view) };
+            // An archive's folder is gone when the training reads from it.
+            let stays = !gallery.unpacked.is_temporary() && !view.photo.is_masked();
+            view.photo = match planned.compressed(options).filter(|_| stays) {
+                Some(jpeg) => file.leave(&view.photo, Arc::new(jpeg))?,
+                None => {
+                    stored_in_file.fetch_add(1, Ordering::Relaxed);
+                    file.store(&view.photo)?
+                }
+            };
             Ok(view)
         };
         let load = |planned: &PlannedView| {
@@ -129,15 +138,17 @@ impl Dataset {
                 view.inverse_depth = planned.map.as_ref().map(|map| map.load(&view, options)).transpose()?;
                 let track = planned.track.as_ref();
                 view.depth_points = track.map(|track| gallery::depth_points(&view, track)).transpose()?;
-                stored(view)
+                store(view, planned)
             };
             let has_half = planned.held_out && options.train_test_exp;
             let half = has_half.then(|| trained(view.left_half()?)).transpose()?;
-            let view = if planned.held_out { stored(view)? } else { trained(view)? };
+            let view = if planned.held_out { store(view, planned)? } else { trained(view)? };
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             Ok((view, half, photo_use))
         };
         let views = planned.par_iter().map(load).collect::<Result<Vec<_>>>()?;
+        let stored_in_file = stored_in_file.into_inner();
+        warnings.extend(beyond.map(|memory| beyond_memory(needed, &memory, stored_in_file)));
         let (mut train, mut test, mut uses) = (Vec::new(), Vec::new(), Vec::new());
         for ((view, half, photo_use), planned) in views.into_iter().zip(planned) {
             uses.push(photo_use);
@@ -218,19 +229,17 @@ impl Gallery {
     }
 }
 
-/// Creates the file for photos that exceed their memory budget.
-fn photo_file(
-    needed: u64,
-    options: &DatasetOptions,
-    warnings: &mut Vec<String>,
-) -> Result<Option<Arc<PhotoFile>>> {
-    let Some(memory) = options.beyond_memory(needed) else { return Ok(None) };
+/// Warns of photos that exceed their memory budget, of which `stored` are in the file.
+fn beyond_memory(needed: u64, memory: &PhotoMemory, stored: usize) -> String {
     let (mib, allowed) = (needed.div_ceil(1 << 20), memory.bytes >> 20);
-    warnings.push(format!(
-        "the photos need {mib} MiB and may have {allowed}: they are kept in a file in {} and read when needed",
-        memory.folder.display()
-    ));
-    memory.create_file().map(Some)
+    let place = match stored {
+        0 => "JPEGs are decoded again when needed".to_owned(),
+        _ => format!(
+            "{stored} are kept in a file in {} and read when needed, JPEGs that are used as they are are decoded again",
+            memory.folder.display()
+        ),
+    };
+    format!("the photos need {mib} MiB and may have {allowed}: {place}")
 }
 
 /// Which views are held out by [`DatasetOptions::eval`], where a data set does not say so.

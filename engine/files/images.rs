@@ -18,7 +18,7 @@ use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
 pub use crate::depth_fit::DepthMap;
-pub use ashsplat::scene::{Photo, PhotoFile, StoredPhoto};
+pub use ashsplat::scene::{Photo, PhotoFile, PhotoSource, StoredPhoto};
 pub use decode::photo_size;
 pub(crate) use decode::{
     Decoded, PhotoHeader, Request, UNREAD_KIND, cannot_hold, claims, damaged, decoder, limits, photo_header,
@@ -89,7 +89,7 @@ impl PhotoFileFormat for Photo {
 pub struct PhotoMemory {
     /// Budget of all photos held at a time, in host and device memory together, while training, bytes.
     pub bytes: u64,
-    /// Folder on a disk with free space for four bytes per pixel.
+    /// Folder on a disk with free space for four bytes per pixel. JPEGs that are used as they are take none: they are decoded again.
     pub folder: PathBuf,
 }
 
@@ -98,6 +98,28 @@ impl PhotoMemory {
     pub fn create_file(&self) -> Result<Arc<PhotoFile>> {
         let file = tempfile::tempfile_in(&self.folder).on(&self.folder, "create a file")?;
         Ok(PhotoFile::new(file, self.folder.clone(), self.bytes))
+    }
+}
+
+/// A JPEG that stays compressed and is decoded when it is needed.
+#[derive(Debug)]
+pub(crate) struct JpegPhoto {
+    pub(crate) path: PathBuf,
+    pub(crate) turned: bool,
+    /// Size after the rotation, pixels.
+    pub(crate) size: (u32, u32),
+    pub(crate) memory: HostMemory,
+}
+
+impl PhotoSource for JpegPhoto {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn read(&self) -> Result<Photo> {
+        let Self { path, turned, size, memory } = self;
+        let request = Request { turned: *turned, size: Some(*size), ..Request::plain(None, memory) };
+        Ok(decode::read(path, &request)?.photo)
     }
 }
 

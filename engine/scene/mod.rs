@@ -35,7 +35,7 @@ pub use gaussians::{GaussianStatistics, Gaussians};
 pub(crate) use lens::LENS_PARAMETERS;
 pub use lens::{COLMAP_MODELS, Coefficients, PhotoLens, Projection, colmap_parameters};
 pub use orbit::{Orbit, level_up, nearest_to_axes};
-pub use photo::{Photo, PhotoFile, StoredPhoto};
+pub use photo::{Photo, PhotoFile, PhotoSource, StoredPhoto};
 pub use points::{Bounds, PointCloud, SourcePoints};
 pub use shutter::{Readout, Shutter};
 pub use strays::{far_camera, median_ball, strays, without_strays};

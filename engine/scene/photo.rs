@@ -1,10 +1,10 @@
-//! Photographs: pictures in memory, and those of a data set with their masks, in memory or in a file.
+//! Photographs: pictures in memory, and those of a data set with their masks, in memory, in a file, or read again when needed.
 
 use crate::error::{Error, Result};
 use crate::scene::Fingerprint;
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A picture in memory: 8 bits per channel, as stored in the file (no colour management).
@@ -75,6 +75,12 @@ enum Place {
         offset: u64,
         fingerprint: u64,
     },
+    /// A photograph without a mask.
+    Source {
+        file: Arc<PhotoFile>,
+        source: Arc<dyn PhotoSource>,
+        fingerprint: u64,
+    },
 }
 
 impl From<Photo> for StoredPhoto {
@@ -136,20 +142,24 @@ impl StoredPhoto {
     pub fn file(&self) -> Option<&Arc<PhotoFile>> {
         match &self.place {
             Place::Memory { .. } => None,
-            Place::File { file, .. } => Some(file),
+            Place::File { file, .. } | Place::Source { file, .. } => Some(file),
         }
     }
 
     /// Returns the picture.
     ///
     /// # Errors
-    /// [`Error::Io`] if its file cannot be read.
+    /// [`Error::Io`] if its file cannot be read; [`Error::Input`] if its source has changed.
     pub fn photo(&self) -> Result<Arc<Photo>> {
-        if let Place::Memory { photo, .. } = &self.place {
-            return Ok(photo.clone());
+        match &self.place {
+            Place::Memory { photo, .. } => Ok(photo.clone()),
+            Place::Source { source, fingerprint, .. } => read_again(&**source, *fingerprint).map(Arc::new),
+            Place::File { file, offset, .. } => {
+                let texels = file.read(*offset, self.bytes())?;
+                let rgb = texels.as_chunks::<4>().0.iter().flat_map(|t| [t[0], t[1], t[2]]).collect();
+                Ok(Arc::new(Photo { width: self.width, height: self.height, rgb }))
+            }
         }
-        let rgb = self.texels()?.as_chunks::<4>().0.iter().flat_map(|t| [t[0], t[1], t[2]]).collect();
-        Ok(Arc::new(Photo { width: self.width, height: self.height, rgb }))
     }
 
     /// One byte per pixel, 0 if the pixel does not count. None if all pixels count.
@@ -170,14 +180,15 @@ impl StoredPhoto {
         match &self.place {
             Place::Memory { photo, mask } => Ok(self.texels_of(photo, mask.as_deref())),
             Place::File { file, offset, .. } => file.read(*offset, self.bytes()),
+            Place::Source { .. } => Ok(self.texels_of(&*self.photo()?, None)),
         }
     }
 
-    /// Hash of photograph and mask, the same in memory and in a file.
+    /// Hash of photograph and mask, the same wherever they are.
     pub(crate) fn fingerprint(&self) -> u64 {
         match &self.place {
             Place::Memory { photo, mask } => fingerprint(photo, mask.as_deref()),
-            Place::File { fingerprint, .. } => *fingerprint,
+            Place::File { fingerprint, .. } | Place::Source { fingerprint, .. } => *fingerprint,
         }
     }
 
@@ -213,6 +224,33 @@ fn fingerprint(photo: &Photo, mask: Option<&[u8]>) -> u64 {
         print.add(mask);
     }
     print.finish()
+}
+
+/// A photograph that is read again each time that it is needed, because it takes less memory in its own form.
+pub trait PhotoSource: std::fmt::Debug + Send + Sync {
+    /// File for errors.
+    fn path(&self) -> &Path;
+
+    /// Reads the photograph, from any thread.
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::Input`].
+    fn read(&self) -> Result<Photo>;
+}
+
+impl PartialEq for dyn PhotoSource {
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::addr_eq(self, other)
+    }
+}
+
+fn read_again(source: &dyn PhotoSource, expected: u64) -> Result<Photo> {
+    let photo = source.read()?;
+    if fingerprint(&photo, None) == expected {
+        return Ok(photo);
+    }
+    let remedy = "put the file back and resume from a checkpoint, or train again";
+    Err(Error::input(source.path(), "has changed since the training began", remedy))
 }
 
 /// Photographs with their masks in an unnamed file, which is deleted with this value.
@@ -251,6 +289,18 @@ impl PhotoFile {
         let written = file.seek(SeekFrom::End(0)).and_then(|at| file.write_all(&texels).map(|()| at));
         let offset = written.map_err(|e| Error::io(&self.folder, "keep photos", e))?;
         let place = Place::File { file: self.clone(), offset, fingerprint };
+        Ok(StoredPhoto { place, ..photo.clone() })
+    }
+
+    /// Forgets the pixels of a photograph, which `source` reads when they are needed.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a photograph with a mask, which a source does not have.
+    pub fn leave(self: &Arc<Self>, photo: &StoredPhoto, source: Arc<dyn PhotoSource>) -> Result<StoredPhoto> {
+        if photo.is_masked() {
+            return Err(Error::argument("photo", "has a mask: store it in the file"));
+        }
+        let place = Place::Source { file: self.clone(), source, fingerprint: photo.fingerprint() };
         Ok(StoredPhoto { place, ..photo.clone() })
     }
 

@@ -14,10 +14,10 @@ use crate::vk::{Buffer, Context, MemoryKind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 
-/// Maximum number of photographs that a thread has read ahead and that wait on the host.
-const AHEAD: u64 = 2;
-/// Maximum number of photographs on the host: the waiting ones, the one being read, and the one being uploaded.
-const ON_HOST: u64 = AHEAD + 2;
+/// Number of threads that read ahead. Each waits with its photograph until that is needed.
+const READERS: usize = 2;
+/// Maximum number of photographs on the host: those of the threads and the one being uploaded.
+const ON_HOST: u64 = READERS as u64 + 1;
 
 /// The views' photographs in the layout of [`photo_on_device`].
 pub(super) struct Photos {
@@ -43,13 +43,13 @@ impl Places {
     /// lie in a file: then all are on the device.
     fn of(layout: NativeLayout, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Option<Self>> {
         let Some(memory) = file_memory else { return Ok(None) };
-        // Waiting photographs have the device's layout. The photograph being read has both layouts.
+        // Waiting photographs have the device's layout. Those being read are decoded or in the file's layout too.
         let bytes = photos.iter().map(|photo| photo.device_bytes(layout)).max().unwrap_or(0).max(4);
         let read = photos.iter().map(|photo| TEXEL_BYTES * photo.pixels()).max().unwrap_or(0);
-        let read = if layout == NativeLayout::Strips { read } else { 0 };
+        let read = READERS as u64 * read;
         let held = memory.saturating_sub(read) / bytes;
         if held <= ON_HOST {
-            let what = format!("reading ahead ({} of the largest photograph at a time)", ON_HOST + 1);
+            let what = format!("reading ahead ({} of the largest photograph, {READERS} more being read)", ON_HOST + 1);
             let limit = (memory, "--photo-memory, or half of --max-memory or --max-host-memory");
             return Err(Error::too_large(what, ((ON_HOST + 1) * bytes + read, "bytes"), limit));
         }
@@ -283,8 +283,8 @@ fn upload_all(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Re
     Ok(texels)
 }
 
-/// Photographs that are read from a file during training. A thread reads them in the order of their loads. Both threads compute
-/// this order on their own.
+/// Photographs that are read during training. Threads take turns to read them in the order of their loads, which each thread
+/// computes on its own.
 struct Stream {
     photos: Vec<StoredPhoto>,
     seed: u32,
@@ -299,8 +299,24 @@ struct Running {
     at: Use,
     /// Photograph of the next iteration; true if its load has begun.
     ahead: Option<(Use, bool)>,
-    /// Texels in the order of the loads. The thread ends when the receiver is dropped.
-    texels: Receiver<Result<Vec<u8>>>,
+    /// Number of photographs taken from the threads.
+    taken: usize,
+    /// Texels of each thread's loads, in order. A thread ends when its receiver is dropped.
+    texels: Vec<Receiver<Result<Vec<u8>>>>,
+}
+
+impl Running {
+    /// Texels of the next load; None if they are not read yet and `wait` is false.
+    fn take(&mut self, wait: bool) -> Result<Option<Vec<u8>>> {
+        let thread = &self.texels[self.taken % READERS];
+        let texels = if wait { thread.recv().ok() } else { thread.try_recv().ok() }.transpose()?;
+        if texels.is_none() && wait {
+            let problem = "the thread that reads them has ended; go on from a checkpoint";
+            return Err(Error::argument("photographs", problem));
+        }
+        self.taken += usize::from(texels.is_some());
+        Ok(texels)
+    }
 }
 
 impl Drop for Running {
@@ -323,13 +339,10 @@ impl Stream {
         running.iteration = iteration;
         let (at, begun) = running.ahead.take().unwrap_or_else(|| (running.schedule.advance(), false));
         running.at = at;
-        if at.load && !begun {
-            let texels = running.texels.recv().map_err(|_| {
-                Error::argument(
-                    "photographs",
-                    "the thread that reads them has ended; go on from a checkpoint",
-                )
-            })??;
+        if at.load
+            && !begun
+            && let Some(texels) = running.take(true)?
+        {
             context.begin_upload(&places[at.place].range(0, texels.len() as u64), &texels, true)?;
         }
         context.take_over_uploads()?;
@@ -344,7 +357,7 @@ impl Stream {
         let at = running.schedule.advance();
         // The prepared photograph's place is in use.
         let free = at.load && at.place != running.at.place && context.transfers().copy_queue;
-        let texels = if free { running.texels.try_recv().ok().transpose()? } else { None };
+        let texels = if free { running.take(false)? } else { None };
         if let Some(texels) = &texels {
             context.begin_upload(&places[at.place].range(0, texels.len() as u64), texels, true)?;
         }
@@ -357,26 +370,26 @@ impl Stream {
         let layout = NativeLayout::of(context.limits());
         let order = ViewOrder::new(self.seed, self.photos.len());
         let schedule = Residency::new(order, places, iteration);
-        let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
-        let (sender, texels) = sync_channel(AHEAD as usize);
         // If all photographs fit, each is read once.
-        let mut left = if places < photos.len() { usize::MAX } else { photos.len() };
-        let read = move || {
-            while left > 0 {
-                let next = ahead.advance();
-                if next.load {
+        let loads = if places < self.photos.len() { usize::MAX } else { self.photos.len() };
+        let reader = |thread: usize| {
+            let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
+            let (sender, texels) = sync_channel(0);
+            let read = move || {
+                for load in 0..loads {
+                    let next = std::iter::repeat_with(|| ahead.advance()).find(|next| next.load);
+                    let Some(next) = next.filter(|_| load % READERS == thread) else { continue };
                     let texels = on_device(layout, &photos[next.view]);
-                    left = if texels.is_ok() { left - 1 } else { 0 };
-                    if sender.send(texels).is_err() {
+                    if texels.is_err() | sender.send(texels).is_err() {
                         return;
                     }
                 }
-            }
+            };
+            let spawned = std::thread::Builder::new().name("photographs".into()).spawn(read);
+            spawned.map_err(|e| Error::argument("photographs", format!("no thread to read them: {e}")))?;
+            Ok(texels)
         };
-        std::thread::Builder::new()
-            .name("photographs".into())
-            .spawn(read)
-            .map_err(|e| Error::argument("photographs", format!("no thread to read them: {e}")))?;
+        let texels = (0..READERS).map(reader).collect::<Result<_>>()?;
         let context = context.clone();
         Ok(Running {
             context,
@@ -384,6 +397,7 @@ impl Stream {
             iteration,
             at: Use { view: 0, place: 0, load: false },
             ahead: None,
+            taken: 0,
             texels,
         })
     }

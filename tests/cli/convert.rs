@@ -211,7 +211,7 @@ fn limits_of_files_and_memory_are_told() {
     }
     // Training keeps photographs in a file: half of the memory holds those that are read ahead.
     place.run("train -s @data -m @model --max-host-memory 26K").refused(&[
-        "reading ahead (5 of",
+        "reading ahead (4 of",
         "more than 13312 (--photo-memory, or half of --max-memory or --max-host-memory)",
     ]);
     assert!(!place.has("model"));

@@ -10,8 +10,9 @@ use crate::dataset::{AlphaUse, DatasetOptions, View};
 use crate::depth_fit::DepthFit;
 use crate::host_memory::HostMemory;
 use crate::images::{
-    Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, photo_header, read_as, undistort,
+    Decoded, JpegPhoto, Photo, PhotoFileFormat, Request, StoredPhoto, photo_header, read_as, undistort,
 };
+use crate::regular_file;
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::scene::{Camera, PhotoLens, PicturePart, Projection, Shutter, WorldFrame};
 use ashsplat::{Error, Result};
@@ -190,6 +191,16 @@ impl PlannedView {
         let is_hidden = mask.as_ref().is_some_and(Mask::hides_all);
         let photo_use = PhotoUse { is_hidden, mask_is_cut_out, is_transparent, gamma, is_round };
         Ok((self.view_of(photo, opacity, mask)?, photo_use))
+    }
+
+    /// The photo as it is decoded again when it is needed, if it is a JPEG whose pixels are used as they are.
+    pub(super) fn compressed(&self, options: &DatasetOptions) -> Option<JpegPhoto> {
+        let size = (self.lens.width, self.lens.height);
+        let is_whole = self.mask_path.is_none() && self.rim.is_none() && self.coarse_mask.is_none();
+        let is_whole = is_whole && self.crop.is_none() && !self.is_undistorted() && self.size(options) == size;
+        let is_jpeg = || regular_file::start(&self.photo_path, 2).is_ok_and(|start| start == [0xff, 0xd8]);
+        let memory = options.host_memory.clone();
+        (is_whole && is_jpeg()).then(|| JpegPhoto { path: self.photo_path.clone(), turned: self.turned, size, memory })
     }
 
     /// Size at which the photo or its part will be used.

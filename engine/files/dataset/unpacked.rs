@@ -36,6 +36,11 @@ impl Unpacked {
         Ok(Self { folder, archive: Some((path.to_owned(), target)) })
     }
 
+    /// True if the folder is removed with this value.
+    pub(super) fn is_temporary(&self) -> bool {
+        self.archive.is_some()
+    }
+
     /// Replaces temporary paths in an error by paths in the archive.
     pub(crate) fn name(&self, error: Error) -> Error {
         match error {
