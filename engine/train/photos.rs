@@ -49,7 +49,10 @@ impl Places {
         let read = READERS as u64 * read;
         let held = memory.saturating_sub(read) / bytes;
         if held <= ON_HOST {
-            let what = format!("reading ahead ({} of the largest photograph, {READERS} more being read)", ON_HOST + 1);
+            let what = format!(
+                "reading ahead ({} of the largest photograph, {READERS} more being read)",
+                ON_HOST + 1
+            );
             let limit = (memory, "--photo-memory, or half of --max-memory or --max-host-memory");
             return Err(Error::too_large(what, ((ON_HOST + 1) * bytes + read, "bytes"), limit));
         }

@@ -367,7 +367,8 @@ fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
 fn photos_may_stay_on_disk() {
     let place = Place::new();
     let train = |data: &str, model: &str, more: &str| {
-        let run = place.run(format!("train -s @{data} -m @{model} --eval --iterations 25 --quiet {more}")).ok();
+        let run =
+            place.run(format!("train -s @{data} -m @{model} --eval --iterations 25 --quiet {more}")).ok();
         let mut results = place.read_json(format!("{model}/results.json"));
         // A time, which varies.
         let tested = results["ours_25"].as_object_mut().expect("a test");

@@ -197,10 +197,16 @@ impl PlannedView {
     pub(super) fn compressed(&self, options: &DatasetOptions) -> Option<JpegPhoto> {
         let size = (self.lens.width, self.lens.height);
         let is_whole = self.mask_path.is_none() && self.rim.is_none() && self.coarse_mask.is_none();
-        let is_whole = is_whole && self.crop.is_none() && !self.is_undistorted() && self.size(options) == size;
+        let is_whole =
+            is_whole && self.crop.is_none() && !self.is_undistorted() && self.size(options) == size;
         let is_jpeg = || regular_file::start(&self.photo_path, 2).is_ok_and(|start| start == [0xff, 0xd8]);
         let memory = options.host_memory.clone();
-        (is_whole && is_jpeg()).then(|| JpegPhoto { path: self.photo_path.clone(), turned: self.turned, size, memory })
+        (is_whole && is_jpeg()).then(|| JpegPhoto {
+            path: self.photo_path.clone(),
+            turned: self.turned,
+            size,
+            memory,
+        })
     }
 
     /// Size at which the photo or its part will be used.
