@@ -8,6 +8,7 @@ mod notes;
 mod photos;
 mod plan;
 mod planned_view;
+mod reader;
 mod unpacked;
 
 use std::path::{Path, PathBuf};

@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat, DVec3};
 use roxmltree::{Document, Node};
 
-use crate::colmap::{CameraModel, ColmapCamera, ColmapImage, Model, ModelFolder};
+use crate::colmap::model::{Model, ModelFolder};
+use crate::colmap::records::{CameraModel, ColmapCamera, ColmapImage};
 use crate::names::{entries, has_one_of};
 use crate::transforms::cloud_beside;
 use crate::{host_memory, ply, regular_file, text};

@@ -129,7 +129,7 @@ impl Optimizer {
         step: &Step,
     ) {
         let spec = self.adam_spec(inputs.sh_degree(), inputs.trained_variant());
-        let Some(kernel) = self.adam.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.adam, &spec) else { return };
         let f = inputs.buffers;
         r.scope("adam", |r| {
             inputs.scene().record_chunks(r, |r, range, parameters| {

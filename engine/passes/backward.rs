@@ -272,7 +272,7 @@ impl Backward {
         let variant = inputs.variant();
         macro_rules! passes {
             ($kernels:ident, $spec:expr, $kernel:ident) => {{
-                let Some(kernel) = self.$kernels.get_or_fail(r, $spec) else { return };
+                let Some(kernel) = r.kernel(&self.$kernels, $spec) else { return };
                 record_passes(r, inputs, &self.sizes, |r, pass, tiles| {
                     let (bind, push) = blend_backward_arguments!($kernel, self, inputs, image_gradient, pass);
                     r.dispatch(kernel, &bind, &push, tiles);
@@ -297,7 +297,7 @@ impl Backward {
     ) {
         let (f, scene) = (inputs.buffers, inputs.scene());
         let spec = self.project_spec(inputs.sh_degree(), inputs.trained_variant(), form);
-        let Some(kernel) = self.project.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.project, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {
             let push = project_backward::Push {
@@ -344,7 +344,7 @@ impl Backward {
     ) {
         let (f, scene) = (inputs.buffers, inputs.scene());
         let spec = self.expand_spec(inputs.sh_degree(), inputs.variant());
-        let Some(kernel) = self.expand.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.expand, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {
             let bind = expand_gradients::Bind {

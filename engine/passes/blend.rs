@@ -157,7 +157,7 @@ impl Blend {
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
         macro_rules! passes {
             ($kernels:ident, $spec:expr, $kernel:ident $(, $auxiliary:ident)*) => {{
-                let Some(kernel) = self.$kernels.get_or_fail(r, $spec) else { return };
+                let Some(kernel) = r.kernel(&self.$kernels, $spec) else { return };
                 record_passes(r, inputs, sizes, |r, push, tiles| {
                     let bind = blend_bind!($kernel, inputs $(, $auxiliary)*);
                     r.dispatch(kernel, &bind, &bytemuck::cast(push), tiles);

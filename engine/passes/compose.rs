@@ -314,7 +314,7 @@ impl Compose {
     /// Records the picks of a frame without backward.
     fn record_picks(&self, r: &mut Recorder, inputs: &FrameInputs, region: Region<'_>) {
         let spec = picks::Spec { workgroup_size: self.workgroup };
-        let Some(kernel) = self.picks.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.picks, &spec) else { return };
         let f = inputs.buffers;
         let splats = f.splats();
         let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
@@ -352,7 +352,7 @@ impl Compose {
         empty: Option<[f32; 2]>,
     ) {
         let spec = mean_motion::Spec { workgroup_size: self.workgroup };
-        let Some(kernel) = self.mean_motion.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.mean_motion, &spec) else { return };
         let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let bind = mean_motion::Bind { accumulated, motion_sums, target: region.image };
         let push = mean_motion::Push {
@@ -374,7 +374,7 @@ impl Compose {
         let workgroup_size = self.workgroup;
         macro_rules! compose {
             ($interface:ident, $kernels:ident) => {{
-                let Some(kernel) = self.$kernels.get_or_fail(r, &$interface::Spec { workgroup_size }) else {
+                let Some(kernel) = r.kernel(&self.$kernels, &$interface::Spec { workgroup_size }) else {
                     return;
                 };
                 let bind = $interface::Bind { surfaces, target: region.image };

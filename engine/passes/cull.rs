@@ -90,7 +90,7 @@ impl Cull {
         }
         for part in inputs.parts() {
             let variant = of_frame.of_scene(ShStorage::F32, part.settings);
-            let Some(kernel) = self.scene.get_or_fail(r, &self.spec(variant)) else { return };
+            let Some(kernel) = r.kernel(&self.scene, &self.spec(variant)) else { return };
             let push = cull::Push {
                 first: part.first_in_frame,
                 count: part.count,
@@ -127,7 +127,7 @@ impl Cull {
     ) {
         let first = &inputs.scenes[batch.first as usize];
         let spec = self.batch_spec(of_frame.of_scene(ShStorage::F32, first.settings));
-        let Some(kernel) = self.batch.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.batch, &spec) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.buffers);
         let [first_block, end_block] = batch.blocks(self.sizes.elementwise_workgroup);
         let parameters = first.scene.chunks[0].whole();

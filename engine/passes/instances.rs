@@ -144,7 +144,7 @@ impl Instances {
             whole_width,
         };
         let spec = self.duplicate_spec(keeps_instances, inputs.camera.projection);
-        let Some(kernel) = self.duplicate.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.duplicate, &spec) else { return };
         r.dispatch_indirect(kernel, &bind, &push, &f.arguments_at(c::ARGUMENTS_INSTANCES_EXPAND));
     }
 
@@ -192,7 +192,7 @@ impl Instances {
         let (tiles_per_row, tile_rows) = tile_grid(image_width, image_height);
         let tile_count = tiles_per_row * tile_rows;
         let push = hide_tiles::Push { image_width, image_height, tiles_per_row, tile_count };
-        let Some(kernel) = self.hide.get_or_fail(r, &self.hide_spec()) else { return };
+        let Some(kernel) = r.kernel(&self.hide, &self.hide_spec()) else { return };
         r.dispatch(kernel, &bind, &push, tile_count.into());
     }
 }

@@ -123,7 +123,7 @@ impl Project {
         }
         for part in inputs.parts() {
             let variant = inputs.variant().of_scene(part.scene.plan.sh_storage, part.settings);
-            let Some(kernel) = self.scene.get_or_fail(r, &self.spec(part.sh_degree, variant)) else { return };
+            let Some(kernel) = r.kernel(&self.scene, &self.spec(part.sh_degree, variant)) else { return };
             let push = project::Push {
                 first: part.first_in_frame,
                 chunk_gaussians: part.scene.plan.chunk_gaussians,
@@ -163,7 +163,7 @@ impl Project {
         let first = &inputs.scenes[batch.first as usize];
         let spec =
             self.batch_spec(first.sh_degree, inputs.variant().of_scene(ShStorage::F32, first.settings));
-        let Some(kernel) = self.batch.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.batch, &spec) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.buffers);
         let [first_block, end_block] = batch.blocks(self.sizes.elementwise_workgroup);
         let splats = f.splats();
@@ -205,7 +205,7 @@ impl Project {
         }
         let (f, SceneView { camera, scale }) = (inputs.buffers, part.previous);
         let spec = self.motion_spec([inputs.camera.projection, camera.projection]);
-        let Some(kernel) = self.motion.get_or_fail(r, &spec) else { return };
+        let Some(kernel) = r.kernel(&self.motion, &spec) else { return };
         let rows = camera.camera_from_world.transpose() * scale;
         let push = screen_motion::Push {
             first: part.first_in_frame,
@@ -233,7 +233,7 @@ impl Project {
             return;
         }
         let f = inputs.buffers;
-        let Some(kernel) = self.surfaces.get_or_fail(r, &self.surfaces_spec(inputs.camera.projection)) else {
+        let Some(kernel) = r.kernel(&self.surfaces, &self.surfaces_spec(inputs.camera.projection)) else {
             return;
         };
         let bind = splat_surfaces::Bind {

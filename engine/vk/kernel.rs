@@ -8,7 +8,6 @@ use super::lock::lock;
 use super::memory::Buffer;
 use super::pipeline::{Jobs, KernelJob, Pipeline, check};
 use super::pipeline_cache::{BindingInfo, ImageInfo, PipelineHandles, PipelineInfo};
-use super::recorder::Recorder;
 use crate::error::{Error, Result};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::marker::PhantomData;
@@ -258,13 +257,15 @@ impl<K: KernelInterface> KernelSet<K> {
         Ok(())
     }
 
-    /// The kernel with these constants. If it is not built, the recording fails with an error that names it.
-    pub fn get_or_fail(&self, r: &mut Recorder, spec: &K::Spec) -> Option<&Kernel<K>> {
+    /// The kernel with these constants.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with its name if it is not built.
+    pub fn get(&self, spec: &K::Spec) -> Result<&Kernel<K>> {
         let found = self.0.iter().find(|(built, _)| built == spec);
-        if found.is_none() {
+        found.map(|(_, kernel)| kernel).ok_or_else(|| {
             let problem = format!("{spec:?} is not built: prepare it before recording");
-            r.fail(Error::argument(format!("kernel {}", K::NAME), problem));
-        }
-        found.map(|(_, kernel)| kernel)
+            Error::argument(format!("kernel {}", K::NAME), problem)
+        })
     }
 }

@@ -11,7 +11,7 @@
 //! | `compile_only` | a device's functions that run nothing |
 //! | `device`, `spirv` | the loader, devices and their choice; shaders as they need them |
 //! | `pipeline_cache` | what identifies a pipeline; the pipelines of a device, and a VkPipelineCache kept between runs |
-//! | `open_device`, `faults` | the open device; everything made from it keeps it open; its queues and their locks; calls that fail on demand |
+//! | `open_device`, `faults`, `failing_calls` | the open device; everything made from it keeps it open; its queues and their locks; calls that fail on demand |
 //! | `memory` | requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `pipeline` | the Vulkan pipeline, its demands on the device, descriptor sets; [`KernelJob`] |
 //! | `profile`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
@@ -60,6 +60,8 @@ mod compile_only;
 mod context;
 mod debug;
 mod device;
+#[cfg(feature = "testing")]
+mod failing_calls;
 #[cfg(feature = "testing")]
 mod faults;
 mod foreign;

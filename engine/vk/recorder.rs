@@ -7,7 +7,7 @@ use super::commands::Commands;
 use super::format::{Access, ImageKind, TexelFormat};
 use super::hazard::Hazards;
 use super::image::{Image, ImageState};
-use super::kernel::{Kernel, KernelInterface};
+use super::kernel::{Kernel, KernelInterface, KernelSet};
 use super::lock::lock;
 use super::memory::{Block, Buffer};
 use super::open_device::Device;
@@ -318,6 +318,15 @@ impl Recorder {
     /// Makes the recording fail with this error, unless it has failed already. Nothing is dispatched after it.
     pub(super) fn fail(&mut self, error: Error) {
         self.failed.get_or_insert(error);
+    }
+
+    /// The kernel of a set with these constants. If it is not built, the recording fails.
+    pub(crate) fn kernel<'k, K: KernelInterface>(
+        &mut self,
+        set: &'k KernelSet<K>,
+        spec: &K::Spec,
+    ) -> Option<&'k Kernel<K>> {
+        set.get(spec).map_err(|error| self.fail(error)).ok()
     }
 
     /// Returns the first error of the recording so far: the driver had no memory for descriptors or views, or a kernel was

@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use super::plan::{Level, Plan};
 use super::planned_view::{Crop, Mask, PlannedView, Track};
 use super::unpacked::Unpacked;
-use super::{DatasetOptions, View, plan};
+use super::{DatasetOptions, View, reader};
 use crate::cameras_json::NamedCamera;
 use crate::colmap::{self, Model};
 use crate::progress::Progress;
@@ -31,7 +31,7 @@ impl Gallery {
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let open = || {
-            let mut plan = plan::plan(&unpacked.folder, options)?;
+            let mut plan = reader::plan(&unpacked.folder, options)?;
             plan.take_problems().into_iter().next().map_or(Ok(()), Err)?;
             plan.check_views()?;
             plan.find_depth_maps(&unpacked.folder, options)?;

@@ -11,7 +11,7 @@ use super::notes::{self, may_lack_points, random_points_instead};
 use super::plan::Plan;
 use super::planned_view::{PhotoUse, PlannedView};
 use super::unpacked::Unpacked;
-use super::{DatasetOptions, plan};
+use super::{DatasetOptions, reader};
 use crate::colmap;
 use crate::progress::Progress;
 use ashsplat::scene::{Bounds, WorldFrame, scene_extent};
@@ -74,7 +74,7 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     let named = |e: Error| unpacked.name(e).to_string();
-    let mut plan = match plan::plan(&unpacked.folder, options) {
+    let mut plan = match reader::plan(&unpacked.folder, options) {
         Ok(plan) => plan,
         Err(e) => {
             report.model = colmap::find(&unpacked.folder).ok().map(|found| unpacked.named(&found.folder));

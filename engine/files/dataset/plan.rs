@@ -7,18 +7,13 @@ use std::str::FromStr;
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 
-use crate::colmap::{ColmapImage, Model};
-use crate::dataset::companions::mask_in_folder;
-use crate::dataset::planned_view::{FileSize, PlannedView};
+use crate::dataset::planned_view::PlannedView;
 use crate::dataset::unpacked::Unpacked;
-use crate::dataset::{DatasetOptions, notes, photos};
-use crate::images::photo_header;
-use crate::names::{Finder, ending, first_with, photos_below, plain, stays_inside};
-use crate::transforms::{Frame, Transforms};
-use crate::{colmap, photogrammetry, text, transforms};
+use crate::dataset::{DatasetOptions, notes};
+use crate::names::first_with;
+use crate::text;
 use ashsplat::scene::{
-    Camera, PhotoLens, PointCloud, Projection, SourcePoints, WorldFrame, far_camera, level_up, median_ball,
-    strays,
+    Camera, PhotoLens, PointCloud, SourcePoints, WorldFrame, far_camera, level_up, median_ball, strays,
 };
 use ashsplat::{Error, Result};
 
@@ -31,7 +26,7 @@ pub(super) struct Plan {
     /// The usable views, by name.
     pub(super) views: Vec<PlannedView>,
     /// Why others cannot be used, each with its [`PlannedView::rank`].
-    problems: Vec<(usize, Error)>,
+    pub(super) problems: Vec<(usize, Error)>,
     /// Number of images that have a camera.
     pub(super) registered: usize,
     /// True if the data set itself specifies the held-out views.
@@ -63,7 +58,7 @@ impl Plan {
     }
 
     /// Adds a view, or the reason why it cannot be used.
-    fn add(&mut self, view: Result<PlannedView>) {
+    pub(super) fn add(&mut self, view: Result<PlannedView>) {
         let rank = self.views.len() + self.problems.len();
         match view {
             Ok(view) => self.views.push(PlannedView { rank, ..view }),
@@ -84,7 +79,7 @@ impl Plan {
     }
 
     /// Chooses the frame unless one is given, and moves views and points into it.
-    fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
+    pub(super) fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
         self.leave_out_copies(&mut points);
         self.lighten_black(&mut points);
         self.frame = given.unwrap_or_else(|| frame_of(&self.views, &points));
@@ -127,7 +122,7 @@ impl Plan {
     }
 
     /// Names files that other programs use and ashsplat does not.
-    fn warn_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
+    pub(super) fn warn_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
         let there = |names: &[&str]| -> Vec<String> {
             let folders = [dataset, &self.source];
             let files = folders.iter().flat_map(|folder| names.iter().map(move |name| folder.join(name)));
@@ -147,7 +142,7 @@ impl Plan {
     }
 
     /// Names point files that are not read, if the data set has no other points.
-    fn warn_of_unread_points(&mut self, dataset: &Path) {
+    pub(super) fn warn_of_unread_points(&mut self, dataset: &Path) {
         const ENDINGS: [&str; 8] = ["las", "laz", "e57", "pts", "ptx", "xyz", "pcd", "ply"];
         // Beside a transforms.json, any PLY is used or named already.
         let endings = if self.source == self.list { &ENDINGS[..7] } else { &ENDINGS[..] };
@@ -164,7 +159,7 @@ impl Plan {
     }
 
     /// Names the cameras that the scene extent ignores, or the farthest one that decides it.
-    fn warn_of_strays(&mut self) {
+    pub(super) fn warn_of_strays(&mut self) {
         let positions: Vec<Vec3> = self.views.iter().map(|view| view.camera().position()).collect();
         let strays = strays(&positions);
         let mut strays = self.views.iter().zip(strays).filter_map(|(view, stray)| Some((&view.name, stray?)));
@@ -185,7 +180,7 @@ impl Plan {
     }
 
     /// Warns of cameras that can hardly belong to their photos.
-    fn warn_of_lenses(&mut self) {
+    pub(super) fn warn_of_lenses(&mut self) {
         let of_model = self.source != self.list;
         let mut known = HashSet::new();
         let views = self.views.iter().filter(|view| known.insert(format!("{:?}", view.lens)));
@@ -198,7 +193,7 @@ impl Plan {
     }
 
     /// Warns of points that hardly any camera sees: they belong to another frame or another scene.
-    fn warn_of_points_out_of_view(&mut self) {
+    pub(super) fn warn_of_points_out_of_view(&mut self) {
         const SAMPLE: usize = 500;
         const LEAST_SEEN: f32 = 0.1;
         let views = self.views.iter().step_by(self.views.len().div_ceil(SAMPLE).max(1));
@@ -228,7 +223,7 @@ impl Plan {
     }
 
     /// Settles which views are held out: those that the data set names, or else some by their number.
-    fn settle_split(&mut self, options: &DatasetOptions) {
+    pub(super) fn settle_split(&mut self, options: &DatasetOptions) {
         let by_number = options.held_out(self.views.len() + self.problems.len());
         for view in &mut self.views {
             view.held_out = if self.has_split { options.eval && view.held_out } else { by_number[view.rank] };
@@ -311,7 +306,7 @@ fn all(views: &[PlannedView], points: &SourcePoints) -> Vec<DVec3> {
 pub(super) struct UsedLenses<'a> {
     options: &'a DatasetOptions,
     /// A lens and the used one, by the lens's debug text, which differs whenever a number does.
-    known: BTreeMap<String, (PhotoLens, Option<PhotoLens>)>,
+    pub(super) known: BTreeMap<String, (PhotoLens, Option<PhotoLens>)>,
 }
 
 impl<'a> UsedLenses<'a> {
@@ -323,326 +318,6 @@ impl<'a> UsedLenses<'a> {
     pub(super) fn of(&mut self, lens: PhotoLens) -> Option<PhotoLens> {
         let used = || (lens, self.options.used_lens(&lens));
         self.known.entry(format!("{lens:?}")).or_insert_with(used).1
-    }
-}
-
-/// Reads the contents of a data set. Finds the photos without decoding them; opens those of unknown size.
-pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
-    let files = transforms::find(path);
-    let unused = transforms::unused(path, if colmap::exists(path) { None } else { files.as_deref() });
-    let (mut plan, mut points) = match files {
-        Some(files) if !colmap::exists(path) => {
-            let mut transforms = Transforms::read(&files)?;
-            let points = std::mem::take(&mut transforms.points);
-            (Plan::of_transforms(path, transforms, options)?, points)
-        }
-        _ => {
-            let sources =
-                if colmap::exists(path) { Vec::new() } else { photogrammetry::find(path, &options.images) };
-            let mut model = match sources.as_slice() {
-                [] => Model::of_dataset(path)?,
-                [source] => {
-                    let (folder, mut finder) =
-                        (photos::find_folder(path, &options.images)?, Finder::default());
-                    let mut size_of = |name: &str| photos::size(&folder, name, &mut finder);
-                    photogrammetry::read(source, path, &mut size_of)?
-                }
-                several => {
-                    let files: Vec<String> =
-                        several.iter().map(|source| source.path().display().to_string()).collect();
-                    let problem = format!("several files have cameras: {}", files.join(", "));
-                    return Err(Error::input(path, problem, "leave one of them there"));
-                }
-            };
-            let points = std::mem::take(&mut model.points);
-            if sources.is_empty() {
-                model.warnings.extend(colmap::contradiction(&model));
-            }
-            (Plan::of_model(path, &model, options)?, points)
-        }
-    };
-    plan.fit_lenses(options);
-    plan.warnings.extend(unused);
-    plan.find_companions(path, options);
-    if points.is_empty() {
-        plan.warn_of_unread_points(path);
-    }
-    plan.turn_upright(options.level, &mut points);
-    plan.settle_frame(options.frame, points);
-    plan.settle_split(options);
-    plan.warn_of_unused_files(path, options);
-    plan.warn_of_strays();
-    plan.warn_of_lenses();
-    plan.warn_of_points_out_of_view();
-    let size = |view: &PlannedView| (view.used.width, view.used.height);
-    let sizes: Vec<(u32, u32)> = plan.views.iter().map(size).collect();
-    plan.warnings.extend(notes::scaling_warning(&sizes, options.resolution));
-    let distorted = plan.views.iter().filter(|view| view.lens.projection != Projection::Perspective);
-    let distorted: Vec<_> = distorted.map(size).collect();
-    let note = notes::distorted_photos(plan.distorted.as_deref(), &distorted, options);
-    if options.undistort && plan.distorted.is_none() {
-        plan.notes.push("all cameras are pinholes: --undistort changes nothing".into());
-    }
-    plan.notes.extend(note.or_else(|| notes::scaling_note(&sizes, options.resolution)));
-    plan.note_shutters();
-    Ok(plan)
-}
-
-impl Plan {
-    fn of_model(path: &Path, model: &Model, options: &DatasetOptions) -> Result<Self> {
-        let mut plan = Self {
-            source: model.source.folder.clone(),
-            list: model.file("images"),
-            registered: model.images.len(),
-            warnings: model.warnings.clone(),
-            notes: model.notes.clone(),
-            ..Self::default()
-        };
-        let mut images: Vec<&ColmapImage> = model.images.iter().collect();
-        images.sort_by(|a, b| a.name.cmp(&b.name));
-        let mut lenses = BTreeMap::new();
-        for camera in model.cameras.values() {
-            let kind = format!("{} {}x{}", camera.model.name(), camera.width, camera.height);
-            *plan.cameras.entry(kind).or_default() += 1;
-            // A problem of a camera is reported for the images that use it.
-            if let Ok(lens) = model.lens(camera) {
-                lenses.insert(camera.id, (lens, options.used_lens(&lens)));
-            }
-        }
-        plan.distorted =
-            notes::distorted_lenses(&model.file("cameras"), lenses.values().map(|(lens, _)| lens));
-        let folder = match photos::find_folder(path, &options.images) {
-            Ok(folder) => folder,
-            Err(e) => return Ok(Self { problems: vec![(0, e)], ..plan }),
-        };
-        let mut finder = Finder::default();
-        let paths = plan.photo_paths(&images, &folder, &mut finder);
-        let asked = images.iter().zip(&paths).map(|(image, path)| {
-            let camera = model.cameras.get(&image.camera_id);
-            (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
-        });
-        // COLMAP itself never rotates photos, so no warning is needed if no size shows otherwise.
-        let (photos, _) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
-        let view = |((image, photo_path), photo): ((&ColmapImage, Result<PathBuf>), FileSize)| {
-            model.camera_of(image)?;
-            let Some(&(lens, Some(used))) = lenses.get(&image.camera_id) else {
-                let place = format!("camera {}:", image.camera_id);
-                return Err(photos::no_pinhole(&model.file("cameras"), &place));
-            };
-            let photo_path = photo_path?;
-            if !photo_path.is_file() {
-                let problem = format!("the photo of image {} is missing", image.id);
-                let remedy = "copy it there, or remove the image from the model";
-                return Err(Error::input(photo_path, problem, remedy));
-            }
-            // The name is shown and written. A path outside the photos' folder and a name without extension are replaced.
-            let found = photo_path.strip_prefix(&folder).unwrap_or(&photo_path).to_string_lossy();
-            let is_whole = stays_inside(&plain(&image.name)) && Path::new(&image.name).extension().is_some();
-            let name = if is_whole { image.name.clone() } else { found.into_owned() };
-            Ok(PlannedView {
-                name,
-                image_id: image.id,
-                camera_id: image.camera_id,
-                camera_from_source: image.rotation(),
-                translation: DVec3::from_array(image.translation),
-                ..PlannedView::of(lens, used, photo_path, photo)
-            })
-        };
-        let names = images.iter().map(|image| image.name.as_str());
-        plan.warn_of_photos_without_camera(photos::in_folder(path, &folder, names), path, &folder);
-        images.into_iter().zip(paths).zip(photos).map(view).for_each(|view| plan.add(view));
-        Ok(plan)
-    }
-
-    fn note_shutters(&mut self) {
-        let (all, list) = (self.views.len(), self.list.display());
-        let rolling = self.views.iter().filter(|view| view.shutter.is_some());
-        let (count, bent) =
-            rolling.fold((0, false), |(n, bent), view| (n + 1, bent || view.is_undistorted()));
-        if count > 0 {
-            self.notes.push(format!(
-                "{list}: {count} of {all} photos have a rolling shutter, and are drawn with it"
-            ));
-        }
-        if bent {
-            self.warnings.push(format!(
-                "{list}: --undistort bends the rows of a rolling shutter, which are taken as straight: leave it out"
-            ));
-        }
-    }
-
-    fn warn_of_photos_without_camera(&mut self, photos: Vec<PathBuf>, dataset: &Path, folder: &Path) {
-        let registered = self.registered;
-        let stems: HashSet<PathBuf> = photos.iter().map(|photo| photo.with_extension("")).collect();
-        let (alike, photos) = (photos.len() - stems.len(), stems.len());
-        if alike > 0 && photos + alike > registered {
-            let (folder, list) = (folder.display(), self.list.display());
-            self.warnings.push(format!(
-                "{folder}: {alike} of its photos have the name of another one but for the ending: those that {list} names are used"
-            ));
-        }
-        if photos > registered {
-            // A file of another program is no folder of COLMAP's.
-            let advice = match self.source.is_dir() {
-                true => photos::advice_for_more(dataset),
-                false => "the program that wrote the cameras left them out",
-            };
-            let folder = folder.display();
-            self.warnings.push(format!(
-                "{folder}: only {registered} of its {photos} photos have a camera: the others are not used ({advice})"
-            ));
-        }
-    }
-
-    /// Finds the photos of a model's images: by their names; if none matches, by the names' ends, among
-    /// photos that no image names.
-    fn photo_paths(
-        &mut self,
-        images: &[&ColmapImage],
-        folder: &Path,
-        finder: &mut Finder,
-    ) -> Vec<Result<PathBuf>> {
-        let list = self.list.clone();
-        let path = |image: &&ColmapImage| {
-            let path = image.photo_path(folder, &list)?;
-            Ok(finder.photo(folder, &plain(&image.name)).unwrap_or(path))
-        };
-        let mut paths: Vec<Result<PathBuf>> = images.iter().map(path).collect();
-        let named: HashSet<PathBuf> = paths.iter().flatten().filter(|path| path.is_file()).cloned().collect();
-        let mut found = Vec::new();
-        for (image, path) in images.iter().zip(&mut paths) {
-            if path.as_ref().is_ok_and(|path| named.contains(path)) {
-                continue;
-            }
-            match finder.photo_by_end(folder, &plain(&image.name)) {
-                Ok(Some(photo)) if !named.contains(&photo) => {
-                    found.push(format!("{} for {:?}", photo.display(), ending(&image.name)));
-                    *path = Ok(photo);
-                }
-                Ok(_) => {}
-                Err(two) => {
-                    let ([first, second], name) =
-                        (two.map(|photo| photo.display().to_string()), ending(&image.name));
-                    let problem = format!("the photo of {name:?} may be {first} or {second}");
-                    *path =
-                        Err(Error::input(&list, problem, "put the photos into the folders that it names"));
-                }
-            }
-        }
-        if let Some(first) = found.first() {
-            let (found, all) = (found.len(), images.len());
-            self.warn(format!(
-                "{found} of {all} photos do not lie where it says: those whose paths end alike are taken, {first}"
-            ));
-        }
-        paths
-    }
-
-    fn of_transforms(path: &Path, transforms: Transforms, options: &DatasetOptions) -> Result<Self> {
-        let Transforms { source, mut frames, has_split, warnings, depth_maps, note, .. } = transforms;
-        frames.sort_by(|a, b| a.name.cmp(&b.name));
-        let (registered, named_depth_maps) = (frames.len(), depth_maps);
-        let mut plan = Self {
-            list: source.clone(),
-            source,
-            registered,
-            has_split,
-            warnings,
-            notes: vec![note],
-            named_depth_maps,
-            ..Self::default()
-        };
-        let mut finder = Finder::default();
-        let paths: Vec<PathBuf> =
-            frames.iter().map(|frame| photo_in_folder(path, frame, &options.images, &mut finder)).collect();
-        if options.images != "images" && frames.iter().all(|frame| !frame.name.starts_with("images/")) {
-            let (images, list, first) = (&options.images, plan.list.display(), &frames[0].name);
-            let problem = format!(
-                "{images} has no effect here: {list} names photos outside of images/, {first} for example"
-            );
-            return Err(Error::argument("images", problem));
-        }
-        let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
-        let (photos, undecided) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
-        plan.warnings.extend(photos::unknown_rotation(&plan.list, undecided));
-        let mut lenses = UsedLenses::new(options);
-        for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {
-            let view = plan.frame(frame, photo_path, photo, &mut lenses).map(|view| PlannedView {
-                image_id: index as u32,
-                mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
-                ..view
-            });
-            plan.add(view);
-        }
-        let sizes: Vec<String> = plan.cameras.keys().cloned().collect();
-        if frames.iter().any(|frame| frame.optics.size.is_none()) && sizes.len() > 1 {
-            plan.warn(format!("the photos have several sizes, each its own camera: {}", sizes.join(", ")));
-        }
-        plan.distorted = notes::distorted_lenses(&plan.list, lenses.known.values().map(|(lens, _)| lens));
-        if !plan.has_split && frames.iter().all(|frame| frame.name.starts_with("images/")) {
-            let folder = path.join(&options.images);
-            plan.warn_of_photos_without_camera(photos_below(&folder), path, &folder);
-        }
-        Ok(plan)
-    }
-
-    fn frame(
-        &mut self,
-        frame: &Frame,
-        photo_path: PathBuf,
-        (turned, size): FileSize,
-        lenses: &mut UsedLenses<'_>,
-    ) -> Result<PlannedView> {
-        if !photo_path.is_file() {
-            let problem = format!("the photo of frame {} is missing", frame.name);
-            let remedy = "copy it there, or remove the frame from the file";
-            return Err(Error::input(photo_path, problem, remedy));
-        }
-        let (width, height) = match (frame.optics.size, size) {
-            (Some([width, height]), _) => (width, height),
-            (None, Some(size)) => size,
-            (None, None) => photo_header(&photo_path)?.size(turned),
-        };
-        let problem = |problem: String| {
-            Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")
-        };
-        let lens = frame.optics.lens(width, height);
-        if let Some(what) = lens.intrinsics().absurdity() {
-            return Err(problem(what));
-        }
-        let used = lenses.of(lens);
-        let kind =
-            if lens.projection == Projection::Perspective { "PINHOLE" } else { lens.projection.name() };
-        *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
-        let Some(used) = used else {
-            return Err(photos::no_pinhole(&self.list, &format!("frame {}: the camera", frame.name)));
-        };
-        let camera = used.camera(frame.camera_from_source.as_mat3(), frame.translation.as_vec3());
-        let camera = Camera { shutter: frame.shutter, ..camera };
-        if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
-            return Err(problem(what));
-        }
-        Ok(PlannedView {
-            name: frame.name.clone(),
-            camera_from_source: frame.camera_from_source,
-            translation: frame.translation,
-            shutter: frame.shutter,
-            mask_path: frame.mask_path.clone(),
-            rim: frame.rim_px.map(|radius| radius / f64::from(width)),
-            held_out: frame.test,
-            ..PlannedView::of(lens, used, photo_path, (turned, size))
-        })
-    }
-}
-
-/// The photo of a frame; in the requested folder if the file names `images`.
-fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
-    match frame.name.strip_prefix("images/") {
-        Some(rest) if images != "images" => {
-            let folder = path.join(images);
-            finder.photo(&folder, rest).unwrap_or_else(|| folder.join(rest))
-        }
-        _ => frame.photo_path.clone(),
     }
 }
 
@@ -716,7 +391,7 @@ impl fmt::Display for Level {
 
 impl Plan {
     /// Turns views and points, and notes the angle. [`Level::On`] turns them about the middle of the cameras.
-    fn turn_upright(&mut self, level: Level, points: &mut SourcePoints) {
+    pub(super) fn turn_upright(&mut self, level: Level, points: &mut SourcePoints) {
         let by_cameras = || {
             let cameras: Vec<Camera> = self.views.iter().map(PlannedView::camera).collect();
             let (pivot, _) = median_ball(&centers(&self.views))?;

@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3};
 use roxmltree::Node;
 
 use super::{Lens, Scene, first, named, numbers, parse_xml, perspective, posed, rotation};
-use crate::colmap::CameraModel;
+use crate::colmap::records::CameraModel;
 use crate::names::ending;
 use crate::{regular_file, text};
 use ashsplat::{Error, Result};
