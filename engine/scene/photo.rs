@@ -156,8 +156,9 @@ impl StoredPhoto {
             Place::Source { source, fingerprint, .. } => read_again(&**source, *fingerprint).map(Arc::new),
             Place::File { file, offset, .. } => {
                 let texels = file.read(*offset, self.bytes())?;
-                let rgb = texels.as_chunks::<4>().0.iter().flat_map(|t| [t[0], t[1], t[2]]).collect();
-                Ok(Arc::new(Photo { width: self.width, height: self.height, rgb }))
+                let rgb: Vec<[u8; 3]> =
+                    texels.as_chunks::<4>().0.iter().map(|t| [t[0], t[1], t[2]]).collect();
+                Ok(Arc::new(Photo { width: self.width, height: self.height, rgb: rgb.into_flattened() }))
             }
         }
     }
@@ -213,7 +214,7 @@ impl StoredPhoto {
             Some(&coverage) if self.transparent || coverage == 0 => coverage,
             _ => OPAQUE,
         };
-        pixels.flat_map(|(i, &[r, g, b])| [r, g, b, coverage(i)]).collect()
+        pixels.map(|(i, &[r, g, b])| [r, g, b, coverage(i)]).collect::<Vec<_>>().into_flattened()
     }
 }
 
