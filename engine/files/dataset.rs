@@ -234,9 +234,9 @@ impl Gallery {
 fn beyond_memory(needed: u64, memory: &PhotoMemory, stored: usize) -> String {
     let (mib, allowed) = (needed.div_ceil(1 << 20), memory.bytes >> 20);
     let place = match stored {
-        0 => "JPEGs are decoded again when needed".to_owned(),
+        0 => "the JPEGs are decoded again when needed".to_owned(),
         _ => format!(
-            "{stored} are kept in a file in {} and read when needed, JPEGs that are used as they are are decoded again",
+            "{stored} are kept in a file in {} and read when needed; unscaled JPEGs are decoded again",
             memory.folder.display()
         ),
     };
