@@ -88,13 +88,13 @@ pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitC
             Err(match output::check_stdout() {
                 Ok(()) => ExitCode::SUCCESS,
                 Err(error) => {
-                    tell!("error: {}", crate::one_line(&error.to_string()));
+                    errln!("error: {}", crate::one_line(&error.to_string()));
                     ExitCode::from(crate::FAILURE)
                 }
             })
         }
         Err(error) => {
-            tell!("{}", summary(&error));
+            errln!("{}", summary(&error));
             Err(ExitCode::from(crate::FAILURE))
         }
     }
@@ -198,19 +198,27 @@ mod tests {
 
     #[test]
     fn slips_are_told_what_was_meant() {
-        let said = |arguments: &[&str]| {
+        let message_of = |arguments: &[&str]| {
             let words = std::iter::once(&"ashsplat").chain(arguments);
             summary(&CommandLine::try_parse_from(words).err().expect("a slip"))
         };
-        assert!(said(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
-        assert!(said(&["trian"]).ends_with("did you mean 'train'? see --help"), "{}", said(&["trian"]));
-        assert!(said(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
-        assert!(said(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
-        let early = said(&["--iteration", "100"]);
+        assert!(message_of(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
+        assert!(
+            message_of(&["trian"]).ends_with("did you mean 'train'? see --help"),
+            "{}",
+            message_of(&["trian"])
+        );
+        assert!(message_of(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
+        assert!(message_of(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
+        let early = message_of(&["--iteration", "100"]);
         assert!(early.contains("`render`") && !early.contains("--version"), "{early}");
-        let early = said(&["--iterations", "100"]);
+        let early = message_of(&["--iterations", "100"]);
         assert!(early.contains("`train`") && early.contains("after the command"), "{early}");
-        assert!(said(&["--xyzzy"]).ends_with("found; see --help"), "{}", said(&["--xyzzy"]));
-        assert!(said(&["--versoin"]).contains("did you mean '--version'?"), "{}", said(&["--versoin"]));
+        assert!(message_of(&["--xyzzy"]).ends_with("found; see --help"), "{}", message_of(&["--xyzzy"]));
+        assert!(
+            message_of(&["--versoin"]).contains("did you mean '--version'?"),
+            "{}",
+            message_of(&["--versoin"])
+        );
     }
 }
