@@ -129,7 +129,7 @@ fn gradients_of_the_twin_agree_with_finite_differences() {
 
 /// The picture with Gaussians in the order of distances, and its gradients.
 fn distance_ordered(view: View) -> View {
-    View { drawn: DrawSettings { distance_order: true, ..view.drawn }, ..view }
+    View { drawn: Style { distance_order: true, ..view.drawn }, ..view }
 }
 
 #[test]
@@ -407,7 +407,7 @@ fn gradients_under_dropout_agree_with_finite_differences() {
             let dropout = Dropout { below: 6 << 20, seed: 7, iteration: seed as u32 };
             let left_out = (0..6).filter(|&gaussian| dropout.drops(gaussian)).count();
             assert!((1..6).contains(&left_out), "of six, {left_out} are left out");
-            let drawn = DrawSettings { dropout: Some(dropout), ..DrawSettings::AS_THEY_ARE };
+            let drawn = Style { dropout: Some(dropout), ..Style::AS_THEY_ARE };
             compared += compare_frame(&View { drawn, antialias, ..small_view([24, 16]) }, seed);
         }
         assert!(compared > 400, "only {compared} derivatives could be compared");

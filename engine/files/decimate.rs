@@ -12,7 +12,7 @@ use ashsplat::scene::sh::C0;
 const NEIGHBOURS: usize = 8;
 /// Bytes per Gaussian that a round needs beside the Gaussians. Pairs are in memory three times while they are collected
 /// and sorted; the tree has 64 bytes per Gaussian.
-pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<GaussianSummary>() + 64) as u64;
+pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<Summary>() + 64) as u64;
 /// Largest share of the Gaussians that one round removes: later rounds see the merged ones.
 const SHARE_PER_ROUND: f64 = 0.2;
 /// Weight of a difference in colour (0 to 1) beside one of place, in units of the Gaussians' size.
@@ -60,7 +60,7 @@ struct Pair {
 }
 
 /// Properties of a Gaussian that the cost depends on.
-struct GaussianSummary {
+struct Summary {
     mean: DVec3,
     covariance: DMat3,
     opacity: f64,
@@ -82,10 +82,10 @@ struct MergedPair {
 /// Axes of the pictures along the three coordinate directions.
 const PICTURES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
 
-fn summary(gaussians: &Gaussians, index: usize) -> GaussianSummary {
+fn summary(gaussians: &Gaussians, index: usize) -> Summary {
     let covariance = covariance_of(gaussians, index);
     let opacity = f64::from(gaussians.opacity(index));
-    GaussianSummary {
+    Summary {
         mean: DVec3::from_array(gaussians.means[index].map(f64::from)),
         covariance,
         opacity,
@@ -120,11 +120,11 @@ fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 
-fn merged_pair(a: &GaussianSummary, b: &GaussianSummary) -> MergedPair {
+fn merged_pair(a: &Summary, b: &Summary) -> MergedPair {
     let mass = a.mass + b.mass;
     let share = if mass > 0.0 { [a.mass / mass, b.mass / mass] } else { [0.5; 2] };
     let mean = share[0] * a.mean + share[1] * b.mean;
-    let spread = |own: &GaussianSummary| own.covariance + outer(own.mean - mean);
+    let spread = |own: &Summary| own.covariance + outer(own.mean - mean);
     let covariance = share[0] * spread(a) + share[1] * spread(b);
     let opacity = mass / area(&covariance);
     let growth = (opacity / MAX_OPACITY).clamp(1.0, MAX_GROWTH);
@@ -135,9 +135,9 @@ fn merged_pair(a: &GaussianSummary, b: &GaussianSummary) -> MergedPair {
 /// The squared difference between the pictures of two Gaussians and the picture of the merged one, over 2π. It is
 /// integrated over the picture and summed over three directions of view, in closed form. Each Gaussian adds its opacity
 /// times its colour, without occlusion.
-fn picture_difference(a: &GaussianSummary, b: &GaussianSummary) -> f64 {
+fn picture_difference(a: &Summary, b: &Summary) -> f64 {
     let one = merged_pair(a, b);
-    let of = |own: &GaussianSummary| own.color.extend(OPACITY_WEIGHT) * own.opacity;
+    let of = |own: &Summary| own.color.extend(OPACITY_WEIGHT) * own.opacity;
     let color = one.share[0] * a.color + one.share[1] * b.color;
     let terms = [
         (of(a), a.mean, &a.covariance),
@@ -156,7 +156,7 @@ fn picture_difference(a: &GaussianSummary, b: &GaussianSummary) -> f64 {
     sum.max(0.0)
 }
 
-fn cost(a: &GaussianSummary, b: &GaussianSummary) -> f64 {
+fn cost(a: &Summary, b: &Summary) -> f64 {
     let apart = a.mean.distance_squared(b.mean) / (a.size2 + b.size2).max(f64::MIN_POSITIVE);
     let mass = a.mass * b.mass / (a.mass + b.mass).max(f64::MIN_POSITIVE);
     let differs = apart + COLOR_WEIGHT * a.color.distance_squared(b.color);
@@ -169,8 +169,7 @@ fn candidates(gaussians: &Gaussians) -> Vec<Pair> {
         // A position that is not finite has no neighbours.
         let _ = tree.add(mean.map(f64::from), index);
     }
-    let summaries: Vec<GaussianSummary> =
-        (0..gaussians.len()).map(|index| summary(gaussians, index)).collect();
+    let summaries: Vec<Summary> = (0..gaussians.len()).map(|index| summary(gaussians, index)).collect();
     let pairs_of = |first: usize| {
         let place = gaussians.means[first].map(f64::from);
         let nearest = tree.nearest(&place, NEIGHBOURS + 1, &squared_euclidean).unwrap_or_default();
@@ -275,20 +274,18 @@ mod tests {
     use super::*;
     use crate::growth::turn;
 
-    fn of(mean: DVec3, sigmas: DVec3, opacity: f64) -> GaussianSummary {
+    fn of(mean: DVec3, sigmas: DVec3, opacity: f64) -> Summary {
         let covariance = DMat3::from_diagonal(sigmas * sigmas);
         let (mass, size2) = (opacity * area(&covariance), sigmas.length_squared() / 3.0);
-        GaussianSummary { mean, covariance, opacity, mass, size2, color: DVec3::splat(0.5) }
+        Summary { mean, covariance, opacity, mass, size2, color: DVec3::splat(0.5) }
     }
 
     /// Compares with sums over the pixels of three pictures.
     #[test]
     fn differences_of_pictures_are_those_of_sums() {
         let _turn = turn();
-        let a = GaussianSummary {
-            color: DVec3::new(0.9, 0.2, 0.4),
-            ..of(DVec3::ZERO, DVec3::new(0.5, 0.3, 0.4), 0.8)
-        };
+        let a =
+            Summary { color: DVec3::new(0.9, 0.2, 0.4), ..of(DVec3::ZERO, DVec3::new(0.5, 0.3, 0.4), 0.8) };
         let b = of(DVec3::new(0.6, -0.3, 0.2), DVec3::new(0.2, 0.6, 0.3), 0.5);
         let one = merged_pair(&a, &b);
         let color = one.share[0] * a.color + one.share[1] * b.color;
@@ -340,14 +337,7 @@ mod tests {
             let needle = |mean: DVec3| {
                 let covariance = outer(along) + DMat3::from_diagonal(DVec3::splat(1e-20));
                 let color = DVec3::splat(0.5);
-                GaussianSummary {
-                    mean,
-                    covariance,
-                    opacity: 0.9,
-                    mass: 0.9 * area(&covariance),
-                    size2: 1.0,
-                    color,
-                }
+                Summary { mean, covariance, opacity: 0.9, mass: 0.9 * area(&covariance), size2: 1.0, color }
             };
             let (a, b) = (needle(DVec3::ZERO), needle(0.3 * along));
             let one = merged_pair(&a, &b);

@@ -322,7 +322,7 @@ struct TileWriter<'a, 'm> {
 }
 
 impl TileWriter<'_, '_> {
-    fn write(&mut self, steps: &[Step]) -> Result<Option<WrittenTile>> {
+    fn write(&mut self, steps: &[Step]) -> Result<Option<TileFile>> {
         let mut written = Vec::new();
         for step in steps {
             let built = match *step {
@@ -334,11 +334,7 @@ impl TileWriter<'_, '_> {
         Ok(written.pop().map(|(_, root)| root))
     }
 
-    fn above(
-        &mut self,
-        below: Vec<(Gaussians, WrittenTile)>,
-        total: usize,
-    ) -> Result<(Gaussians, WrittenTile)> {
+    fn above(&mut self, below: Vec<(Gaussians, TileFile)>, total: usize) -> Result<(Gaussians, TileFile)> {
         let mut finer = Gaussians::with_capacity(self.spill.sh_degree, 0);
         let mut children = Vec::new();
         for (gaussians, tile) in below {
@@ -348,8 +344,7 @@ impl TileWriter<'_, '_> {
         let mut merged = finer.clone();
         decimate(&mut merged, (finer.len() / MERGED).clamp(1, self.options.max_gaussians));
         // Squares of uncorrelated differences add up, such as those of tiles side by side.
-        let squares =
-            children.iter().map(|tile: &WrittenTile| tile.json.geometric_error.powi(2)).sum::<f64>();
+        let squares = children.iter().map(|tile: &TileFile| tile.json.geometric_error.powi(2)).sum::<f64>();
         let error = (squares + (self.measure)(&finer, &merged)?.powi(2)).sqrt();
         self.tile(merged, children, error, total)
     }
@@ -357,10 +352,10 @@ impl TileWriter<'_, '_> {
     fn tile(
         &mut self,
         gaussians: Gaussians,
-        children: Vec<WrittenTile>,
+        children: Vec<TileFile>,
         error: f64,
         total: usize,
-    ) -> Result<(Gaussians, WrittenTile)> {
+    ) -> Result<(Gaussians, TileFile)> {
         self.progress.check()?;
         let name = format!("{}.glb", self.done.tiles);
         // The root's transform places all tiles.
@@ -390,7 +385,7 @@ impl TileWriter<'_, '_> {
             extras: ExtrasJson { gaussians: gaussians.len() as u32 },
             children: children.into_iter().map(|tile| tile.json).collect(),
         };
-        Ok((gaussians, WrittenTile { bounds, levels, json }))
+        Ok((gaussians, TileFile { bounds, levels, json }))
     }
 }
 
@@ -416,7 +411,7 @@ fn box_around(all: &Gaussians, half: impl Fn(usize) -> DVec3) -> Bounds {
 }
 
 /// A tile whose file is written.
-struct WrittenTile {
+struct TileFile {
     /// Reach of the tile and its children, in this crate's frame.
     bounds: Bounds,
     /// Number of levels from this tile to the finest.
@@ -437,7 +432,7 @@ fn box_of(bounds: Bounds) -> [f64; 12] {
 }
 
 /// Writes the description of a tree whose tiles are relative to an origin.
-fn write_tileset(path: &Path, root: &WrittenTile, origin: DVec3, packed: bool) -> Result<()> {
+fn write_tileset(path: &Path, root: &TileFile, origin: DVec3, packed: bool) -> Result<()> {
     // Error of drawing nothing at all.
     let nothing =
         root.bounds.max.as_dvec3().distance(root.bounds.min.as_dvec3()).max(root.json.geometric_error);

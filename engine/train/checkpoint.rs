@@ -439,49 +439,45 @@ impl Checkpoint {
     }
 
     /// Checks that a run with these settings and views could have made the checkpoint.
-    pub(super) fn check_fits(&self, expected: &ExpectedRun) -> Result<()> {
+    pub(super) fn check_fits(&self, run: &ExpectedRun) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
         // The block comes first: photographs depend on the block, and settings on the photographs.
-        if let Some(difference) = BlockState::difference(self.block.as_ref(), expected.block.as_ref()) {
+        if let Some(difference) = BlockState::difference(self.block.as_ref(), run.block.as_ref()) {
             return refuse(difference);
         }
-        if self.views != expected.views {
-            return refuse(format!(
-                "was made with {} training views, here are {}",
-                self.views, expected.views
-            ));
+        if self.views != run.views {
+            return refuse(format!("was made with {} training views, here are {}", self.views, run.views));
         }
-        let mut settings =
-            TrainSettings { iterations: expected.settings.iterations, ..self.settings.clone() };
+        let mut settings = TrainSettings { iterations: run.settings.iterations, ..self.settings.clone() };
         if !settings.exposure {
             // Unused without `exposure`. Ignored, because later presets set them.
-            settings.exposure_lr_init = expected.settings.exposure_lr_init;
-            settings.exposure_lr_final = expected.settings.exposure_lr_final;
-            settings.exposure_reg = expected.settings.exposure_reg;
-            settings.exposure_shared = expected.settings.exposure_shared;
-            settings.exposure_sparsity = expected.settings.exposure_sparsity;
+            settings.exposure_lr_init = run.settings.exposure_lr_init;
+            settings.exposure_lr_final = run.settings.exposure_lr_final;
+            settings.exposure_reg = run.settings.exposure_reg;
+            settings.exposure_shared = run.settings.exposure_shared;
+            settings.exposure_sparsity = run.settings.exposure_sparsity;
         }
-        expected.settings.excuse_sh_degrees(&mut settings, &self.settings, self.iteration);
-        if let Some(difference) = difference(&settings, expected.settings) {
+        run.settings.excuse_sh_degrees(&mut settings, &self.settings, self.iteration);
+        if let Some(difference) = difference(&settings, run.settings) {
             return refuse(format!("was made with other settings: {difference}; give what they were"));
         }
-        if self.iteration > expected.settings.iterations {
+        if self.iteration > run.settings.iterations {
             return refuse(format!(
                 "is of iteration {} already, the training ends at {}; raise iterations to go on",
-                self.iteration, expected.settings.iterations
+                self.iteration, run.settings.iterations
             ));
         }
-        if self.views_fingerprint != expected.views_fingerprint {
+        if self.views_fingerprint != run.views_fingerprint {
             return refuse(
                 "was made with other photographs or cameras (of another data set, resolution, background, split, or parts of \
                  photographs; with another undistort, alpha or level; before photographs kept their lenses)"
                     .into(),
             );
         }
-        if self.scene_extent.to_bits() != expected.scene_extent.to_bits() {
+        if self.scene_extent.to_bits() != run.scene_extent.to_bits() {
             return refuse(format!(
                 "was made with a scene extent of {}, here it is {}",
-                self.scene_extent, expected.scene_extent
+                self.scene_extent, run.scene_extent
             ));
         }
         Ok(())

@@ -336,7 +336,7 @@ impl Actions {
 
 /// Part of an iteration's work that the strategy decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct IterationWork {
+pub struct StepWork {
     /// True if the backward pass adds to the statistics ([`Population::statistics`](super::Population::statistics)).
     pub accumulates: bool,
     /// True if the optimiser makes a step.
@@ -373,7 +373,7 @@ pub(super) struct Progress {
 
 impl Progress {
     pub fn after(&self, plan: &IterationPlan) -> Self {
-        let IterationWork { optimizes, optimizes_opacity, actions, .. } = plan.work;
+        let StepWork { optimizes, optimizes_opacity, actions, .. } = plan.work;
         Self {
             iteration: plan.iteration,
             steps: self.steps + u64::from(optimizes),
@@ -390,7 +390,7 @@ pub(super) struct IterationPlan {
     pub view: usize,
     /// Camera that draws the view: its own, or one of a smaller picture.
     pub camera: Camera,
-    pub work: IterationWork,
+    pub work: StepWork,
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
@@ -408,7 +408,7 @@ pub(super) struct IterationPlan {
 impl IterationPlan {
     /// Plan with the optimiser's step and the statistics for the given view, for a recording that never executes.
     pub fn rehearsal(self, view: usize, camera: Camera) -> Self {
-        let work = IterationWork { optimizes: true, accumulates: true, ..self.work };
+        let work = StepWork { optimizes: true, accumulates: true, ..self.work };
         Self { view, camera, work, ..self }
     }
 }
@@ -430,7 +430,7 @@ impl Schedule {
         &mut self,
         progress: &Progress,
         run: &TrainingRun,
-        mut work: IterationWork,
+        mut work: StepWork,
     ) -> IterationPlan {
         let iteration = progress.iteration + 1;
         let s = &run.settings;
@@ -475,7 +475,7 @@ fn falling(rate: f64, s: &TrainSettings, iteration: u32) -> f64 {
     rate * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
 }
 
-fn optimizer_step(run: &TrainingRun, iteration: u32, progress: &Progress, work: &IterationWork) -> Step {
+fn optimizer_step(run: &TrainingRun, iteration: u32, progress: &Progress, work: &StepWork) -> Step {
     let s = &run.settings;
     let decay = s.final_decay(iteration);
     let others = s.rate_factor() * decay;

@@ -12,7 +12,7 @@ use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, Schedule, TrainingRun};
 use super::settings::TrainSettings;
 use super::step::{LossMemory, LossValues, RecordedSteps, StepParts, StepRecorder, StepReport};
-use super::strategy::{Actions, Changes, IterationWork, Strategy};
+use super::strategy::{Actions, Changes, StepWork, Strategy};
 use crate::error::{Error, Result};
 use crate::frame::{
     Blending, PictureCapacity, RenderSettings, SceneBuffers, gaussians_with, planes, subgroups, to_u32,
@@ -455,7 +455,7 @@ impl Trainer {
         if !plan.work.optimizes {
             return Ok(());
         }
-        let plan = IterationPlan { work: IterationWork { accumulates: false, ..plan.work }, ..plan };
+        let plan = IterationPlan { work: StepWork { accumulates: false, ..plan.work }, ..plan };
         self.photos.prepare(&self.context, plan.iteration)?;
         match self.run_step(&plan) {
             Err(RunError::OutOfMemory { counts, error }) => self.skip(&plan, &counts, error)?,

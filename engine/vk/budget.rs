@@ -278,7 +278,7 @@ impl Context {
     /// Returns the paths of uploads and downloads.
     pub fn transfers(&self) -> Transfers {
         Transfers {
-            writes_directly: self.device.memory_location.is_mapped(),
+            writes_directly: self.device.location.is_mapped(),
             reads_directly: self.device.reads_mapped(),
             copy_queue: self.device.copying.is_some(),
         }

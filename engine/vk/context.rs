@@ -15,7 +15,7 @@ use super::lock::lock;
 #[cfg(feature = "testing")]
 use super::memory::Block;
 use super::memory::UNBOUNDED;
-use super::memory_types::{HostAllocator, MemoryLocation, Registry};
+use super::memory_types::{HostAllocator, Location, Registry};
 use super::open_device::RawDevice;
 use super::open_device::{CopyQueue, Device, Owner, QueueLock};
 use super::pipeline::{Jobs, add_shared_layouts};
@@ -474,10 +474,10 @@ impl Context {
         if !runs {
             memory = compile_only::memory_properties();
         }
-        let memory_location = match candidate.has_unified_memory() || !runs {
-            true => MemoryLocation::Unified,
-            false if foreign || !options.direct_writes => MemoryLocation::Card,
-            false => MemoryLocation::of_card(&memory),
+        let location = match candidate.has_unified_memory() || !runs {
+            true => Location::Unified,
+            false if foreign || !options.direct_writes => Location::Card,
+            false => Location::of_card(&memory),
         };
         // From here on, dropping `open` destroys everything created so far.
         let mut open = Device {
@@ -501,7 +501,7 @@ impl Context {
             },
             limits,
             memory,
-            memory_location,
+            location,
             force_uncached: false,
             timestamp_bits: if options.timestamps && runs { family.timestamp_valid_bits } else { 0 },
             timestamps: AtomicBool::new(true),
@@ -526,8 +526,7 @@ impl Context {
         #[cfg(feature = "testing")]
         {
             open.device.faults.clone_from(&options.faults);
-            open.memory_location =
-                if options.force_staging { MemoryLocation::Card } else { open.memory_location };
+            open.location = if options.force_staging { Location::Card } else { open.location };
             (open.force_uncached, open.guard_bands) = (options.force_uncached, options.guard_bands);
         }
         if let (Some(family), false) = (candidate.copying_family, foreign) {

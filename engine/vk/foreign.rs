@@ -7,7 +7,7 @@ use super::memory::{Block, Buffer, Life, PLACEMENT_ALIGNMENT, pack, padded};
 use super::open_device::Device;
 use super::pipeline::DescriptorSets;
 use super::profile::{MAX_SCOPES, Profiler, ScopeTime};
-use super::recorder::{Recorder, RetainedResources, Target};
+use super::recorder::{KeepAlive, Recorder, Target};
 use super::requirements::Requirements;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -94,7 +94,7 @@ pub struct RecordSlot {
     queries: vk::QueryPool,
     /// None with push descriptors.
     descriptors: Arc<Mutex<Option<DescriptorSets>>>,
-    retained: Arc<Mutex<RetainedResources>>,
+    retained: Arc<Mutex<KeepAlive>>,
     profiler: Option<Profiler>,
     /// An idle profiler, whose memory is reused.
     spare: Option<Profiler>,

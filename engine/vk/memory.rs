@@ -5,9 +5,7 @@ use super::debug::vk_error;
 use super::format::TexelFormat;
 use super::limits::Limits;
 use super::lock::lock;
-use super::memory_types::{
-    HostAllocator, HostMemory, MAPPABLE, MemoryKind, MemoryLocation, MemoryRequest, best,
-};
+use super::memory_types::{HostAllocator, HostMemory, Location, MAPPABLE, MemoryKind, MemoryRequest, best};
 use super::open_device::Device;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -231,9 +229,7 @@ impl Block {
         let flags = self.inner.memory.memory_types_as_slice()[index as usize].property_flags;
         self.cached = self.inner.caches(flags);
         // Reading a GPU's own memory word by word over the bus is slower than staging: see `is_read_mapped`.
-        if flags.contains(MAPPABLE)
-            && (self.kind != MemoryKind::Device || self.inner.memory_location.is_mapped())
-        {
+        if flags.contains(MAPPABLE) && (self.kind != MemoryKind::Device || self.inner.location.is_mapped()) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
@@ -263,7 +259,7 @@ impl Block {
         // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
-        if kind != MemoryKind::Device || self.inner.memory_location == MemoryLocation::Unified {
+        if kind != MemoryKind::Device || self.inner.location == Location::Unified {
             self.mapping = piece.mapped.map(|address| Mutex::new(Mapping(address)));
         }
         Ok(())
@@ -370,11 +366,11 @@ impl Device {
         // The memory of a host's allocator is known only after it is allocated.
         let direct = self.allocator.is_some()
             || best.is_ok_and(|flags| flags.contains(MAPPABLE) && self.caches(flags));
-        self.memory_location == MemoryLocation::Unified && direct
+        self.location == Location::Unified && direct
     }
 
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
-        best(&self.memory, allowed, kind, self.memory_location).ok_or_else(|| {
+        best(&self.memory, allowed, kind, self.location).ok_or_else(|| {
             let device = self.description.name.clone();
             Error::MissingFeature { device, feature: format!("a memory type for {kind:?} memory") }
         })

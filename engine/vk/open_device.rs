@@ -8,7 +8,7 @@ use super::device::{DeviceDescription, Instance, queue_families};
 use super::faults::Faults;
 use super::limits::Limits;
 use super::lock::lock;
-use super::memory_types::{HostAllocator, MemoryLocation, Registry};
+use super::memory_types::{HostAllocator, Location, Registry};
 use super::pipeline_cache::{BuiltPipelines, PipelineCache};
 use super::spirv::SubgroupRules;
 use crate::error::{Error, Result};
@@ -78,7 +78,7 @@ pub(super) struct Device {
     pub(super) subgroup_rules: SubgroupRules,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
     /// Location of device memory, which decides between mapping and staging.
-    pub(super) memory_location: MemoryLocation,
+    pub(super) location: Location,
     /// For tests: device memory counts as not cached by the host.
     pub(super) force_uncached: bool,
     pub(super) timestamp_bits: u32,

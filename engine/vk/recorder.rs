@@ -19,12 +19,12 @@ use ash::vk;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-struct BoundResources<'a> {
+struct Bindings<'a> {
     buffers: &'a [&'a Buffer],
     images: &'a [&'a Image],
 }
 
-pub(super) struct RetainedResources {
+pub(super) struct KeepAlive {
     /// Unique id of this recording. Every block stores the id of the last recording that keeps it, which avoids searches.
     id: u64,
     pub(super) blocks: Vec<Arc<Block>>,
@@ -32,7 +32,7 @@ pub(super) struct RetainedResources {
     images: Vec<Image>,
 }
 
-impl Default for RetainedResources {
+impl Default for KeepAlive {
     fn default() -> Self {
         Self { id: next_id(), blocks: Vec::new(), pipelines: Vec::new(), images: Vec::new() }
     }
@@ -43,7 +43,7 @@ fn next_id() -> u64 {
     NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
-impl RetainedResources {
+impl KeepAlive {
     fn block(&mut self, block: &Arc<Block>) {
         // If two threads record with the same block, each may keep it more than once.
         if block.retained_by.swap(self.id, Ordering::Relaxed) != self.id {
@@ -96,7 +96,7 @@ pub struct Recorder {
     commands: Target,
     inner: Arc<Device>,
     profiler: Profiler,
-    pub(super) retained: Arc<Mutex<RetainedResources>>,
+    pub(super) retained: Arc<Mutex<KeepAlive>>,
     bound: vk::Pipeline,
     hazards: Option<Hazards>,
     order: Barriers,
@@ -132,7 +132,7 @@ impl Recorder {
     pub(super) fn begin(
         commands: Target,
         inner: Arc<Device>,
-        retained: Arc<Mutex<RetainedResources>>,
+        retained: Arc<Mutex<KeepAlive>>,
         profiler: Profiler,
         label: &'static str,
     ) -> Self {
@@ -169,7 +169,7 @@ impl Recorder {
         }
     }
 
-    pub(super) fn finish(mut self) -> (Commands, Profiler, RetainedResources, Option<audit::Commands>) {
+    pub(super) fn finish(mut self) -> (Commands, Profiler, KeepAlive, Option<audit::Commands>) {
         self.profiler.end(&self.inner, self.raw());
         self.copy_indirect_arguments();
         match self.commands {
@@ -244,7 +244,7 @@ impl Recorder {
         grid: Grid<'_>,
     ) {
         let (buffers, images) = (K::buffers(bind), K::images(bind));
-        let bound = BoundResources { buffers: buffers.as_ref(), images: images.as_ref() };
+        let bound = Bindings { buffers: buffers.as_ref(), images: images.as_ref() };
         self.declare(&kernel.pipeline, &bound, &grid);
         if matches!(grid, Grid::Of(grid) if grid.contains(&0)) {
             return;
@@ -336,7 +336,7 @@ impl Recorder {
     }
 
     /// Declares the accesses of a dispatch to the hazard checker.
-    fn declare(&mut self, pipeline: &Pipeline, bound: &BoundResources<'_>, grid: &Grid<'_>) {
+    fn declare(&mut self, pipeline: &Pipeline, bound: &Bindings<'_>, grid: &Grid<'_>) {
         let Some(hazards) = self.hazards.as_mut().filter(|_| self.failed.is_none()) else { return };
         for (info, buffer) in pipeline.info.bindings.iter().zip(bound.buffers) {
             hazards.add(buffer, info.name, info.access, info.aliased);
@@ -466,19 +466,14 @@ impl Recorder {
     /// Binds the pipeline, its buffers, images and push constants. Returns false if this call or an earlier
     /// one has failed. Nothing may be dispatched then, and the end of the recording reports the error
     /// ([`Recorder::check`]).
-    fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &BoundResources<'_>, push: &[u8]) -> bool {
+    fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bindings<'_>, push: &[u8]) -> bool {
         if self.failed.is_none() {
             self.failed = self.try_prepare(pipeline, bound, push).err();
         }
         self.failed.is_none()
     }
 
-    fn try_prepare(
-        &mut self,
-        pipeline: &Arc<Pipeline>,
-        bound: &BoundResources<'_>,
-        push: &[u8],
-    ) -> Result<()> {
+    fn try_prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bindings<'_>, push: &[u8]) -> Result<()> {
         let info = &pipeline.info;
         assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", info.name);
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];

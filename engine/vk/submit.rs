@@ -5,9 +5,9 @@ use super::commands::Commands;
 use super::context::Context;
 use super::lock::lock;
 use super::memory::Buffer;
-use super::memory_types::MemoryLocation;
+use super::memory_types::Location;
 use super::profile::{self, MAX_SCOPES, Profiler, QUERIES, ScopeTime};
-use super::recorder::{MAX_UPDATE_BYTES, Recorder, RetainedResources};
+use super::recorder::{KeepAlive, MAX_UPDATE_BYTES, Recorder};
 use crate::error::{Error, Result};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -31,7 +31,7 @@ pub struct Pending {
     audit: Option<audit::Commands>,
     submitting: Instant,
     submitted: Instant,
-    retained: RetainedResources,
+    retained: KeepAlive,
 }
 
 impl Pending {
@@ -159,8 +159,7 @@ impl Context {
     /// to wait for the main queue's work. All uploads to a buffer are then `beside`: the host writes only memory that no copy is
     /// known to use.
     pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8], beside: bool) -> Result<()> {
-        let copies =
-            beside && self.device.memory_location == MemoryLocation::Window && self.device.copying.is_some();
+        let copies = beside && self.device.location == Location::Window && self.device.copying.is_some();
         if !copies && (buffer.block().is_mapped() || self.is_foreign()) {
             return self.upload(buffer, bytes);
         }

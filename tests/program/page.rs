@@ -138,17 +138,17 @@ pub struct Page {
 
 /// Messages of the server.
 pub enum PageMessage {
-    Frame(ReceivedFrame),
+    Frame(PageFrame),
     Message(Value),
 }
 
 /// A frame as received.
-pub struct ReceivedFrame {
+pub struct PageFrame {
     pub header: Value,
     pub picture: Vec<u8>,
 }
 
-impl ReceivedFrame {
+impl PageFrame {
     /// RGB bytes of the picture.
     pub fn rgb(&self) -> Vec<u8> {
         image::load_from_memory(&self.picture).expect("a picture").to_rgb8().into_raw()
@@ -167,7 +167,7 @@ impl Page {
                     let (length, rest) = bytes.split_at(4);
                     let length = u32::from_le_bytes(length.try_into().expect("4 bytes")) as usize;
                     let header = serde_json::from_slice(&rest[..length]).expect("a header");
-                    return PageMessage::Frame(ReceivedFrame { header, picture: rest[length..].to_vec() });
+                    return PageMessage::Frame(PageFrame { header, picture: rest[length..].to_vec() });
                 }
                 Message::Text(text) => {
                     return PageMessage::Message(serde_json::from_str(text.as_str()).expect("JSON"));
@@ -194,7 +194,7 @@ impl Page {
         self.wait_for("problem")["message"].as_str().expect("words").to_owned()
     }
 
-    pub fn frame(&mut self) -> ReceivedFrame {
+    pub fn frame(&mut self) -> PageFrame {
         loop {
             match self.receive() {
                 PageMessage::Frame(shown) => return shown,
@@ -212,7 +212,7 @@ impl Page {
         silent
     }
 
-    pub fn look(&mut self, camera: &Camera, look: &Value) -> ReceivedFrame {
+    pub fn look(&mut self, camera: &Camera, look: &Value) -> PageFrame {
         self.send(&view(1, camera, look));
         let shown = self.frame();
         self.send(&json!({ "type": "ack" }));

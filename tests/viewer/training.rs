@@ -74,7 +74,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     let mut request = view(1, &camera(0.0), &json!({}));
     request["follow"] = json!(true);
     page.send(&request);
-    let iteration = |shown: &ReceivedFrame| shown.header["iteration"].as_u64().expect("an iteration");
+    let iteration = |shown: &PageFrame| shown.header["iteration"].as_u64().expect("an iteration");
     let first = iteration(&page.frame());
     page.send(&json!({ "type": "ack" }));
     let second = iteration(&page.frame());

@@ -21,11 +21,7 @@ fn with_tree() -> (TestFolder, Tree) {
 }
 
 /// Requests frames until no tile is missing. Returns the first and the last frame, and the messages.
-fn settled(
-    page: &mut Page,
-    camera: &Camera,
-    look: &Value,
-) -> (ReceivedFrame, ReceivedFrame, BTreeSet<String>) {
+fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (PageFrame, PageFrame, BTreeSet<String>) {
     let (start, mut first, mut said) = (Instant::now(), None, BTreeSet::new());
     while start.elapsed() < PATIENCE {
         page.send(&view(1, camera, look));
@@ -37,7 +33,7 @@ fn settled(
         };
         page.send(&json!({ "type": "ack" }));
         if shown.header["tree"]["missing"] == 0 {
-            let first = first.unwrap_or(ReceivedFrame { header: shown.header.clone(), picture: Vec::new() });
+            let first = first.unwrap_or(PageFrame { header: shown.header.clone(), picture: Vec::new() });
             return (first, shown, said);
         }
         first.get_or_insert(shown);

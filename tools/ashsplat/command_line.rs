@@ -198,27 +198,19 @@ mod tests {
 
     #[test]
     fn slips_are_told_what_was_meant() {
-        let message_of = |arguments: &[&str]| {
+        let error = |arguments: &[&str]| {
             let words = std::iter::once(&"ashsplat").chain(arguments);
             summary(&CommandLine::try_parse_from(words).err().expect("a slip"))
         };
-        assert!(message_of(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
-        assert!(
-            message_of(&["trian"]).ends_with("did you mean 'train'? see --help"),
-            "{}",
-            message_of(&["trian"])
-        );
-        assert!(message_of(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
-        assert!(message_of(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
-        let early = message_of(&["--iteration", "100"]);
+        assert!(error(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
+        assert!(error(&["trian"]).ends_with("did you mean 'train'? see --help"), "{}", error(&["trian"]));
+        assert!(error(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
+        assert!(error(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
+        let early = error(&["--iteration", "100"]);
         assert!(early.contains("`render`") && !early.contains("--version"), "{early}");
-        let early = message_of(&["--iterations", "100"]);
+        let early = error(&["--iterations", "100"]);
         assert!(early.contains("`train`") && early.contains("after the command"), "{early}");
-        assert!(message_of(&["--xyzzy"]).ends_with("found; see --help"), "{}", message_of(&["--xyzzy"]));
-        assert!(
-            message_of(&["--versoin"]).contains("did you mean '--version'?"),
-            "{}",
-            message_of(&["--versoin"])
-        );
+        assert!(error(&["--xyzzy"]).ends_with("found; see --help"), "{}", error(&["--xyzzy"]));
+        assert!(error(&["--versoin"]).contains("did you mean '--version'?"), "{}", error(&["--versoin"]));
     }
 }

@@ -118,7 +118,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let linked = !matches!(&source, Source::Photos(photos) if photos.in_place);
     Workspace::check(dataset, linked)?;
     let prepared = arguments.prepare(&source, &stop)?;
-    arguments.note(&format!("{}; the data set is {}", prepared.description, dataset.display()));
+    arguments.note(&format!("{}; the data set is {}", prepared.summary, dataset.display()));
     let mut workspace = Workspace::open(dataset)?;
     let gpu = colmap.cuda && !arguments.no_gpu;
     let found = arguments.photographs(prepared.kind, &mut workspace, &stop).and_then(|(photos, infos)| {
@@ -154,7 +154,7 @@ struct PhotoFiles {
 /// The source after the checks that precede any writing.
 struct Prepared<'a> {
     kind: Kind<'a>,
-    description: String,
+    summary: String,
 }
 
 enum Kind<'a> {
@@ -210,8 +210,8 @@ impl Arguments {
                     true => "they stay where they are".to_owned(),
                     false => format!("hard links to them go to {}", photos.dataset.join("images").display()),
                 };
-                let description = format!("{count} photographs in {folder}; {place}");
-                Ok(Prepared { kind: Kind::Photos(photos, names, infos), description })
+                let summary = format!("{count} photographs in {folder}; {place}");
+                Ok(Prepared { kind: Kind::Photos(photos, names, infos), summary })
             }
             Source::Video(path, _) => {
                 let video = self.reader(path, stop).probe()?;
@@ -230,8 +230,8 @@ impl Arguments {
                     ));
                 }
                 let (seconds, frames) = (video.seconds, thousands(video.frames as u64));
-                let description = format!("{} with {frames} frames in {seconds:.1} s", path.display());
-                Ok(Prepared { kind: Kind::Video(path, video, count), description })
+                let summary = format!("{} with {frames} frames in {seconds:.1} s", path.display());
+                Ok(Prepared { kind: Kind::Video(path, video, count), summary })
             }
         }
     }
@@ -357,7 +357,7 @@ impl Arguments {
             _ if photographs <= EXHAUSTIVE[usize::from(gpu)] => Matcher::Exhaustive,
             _ => Matcher::Sequential,
         };
-        let description = match matcher {
+        let summary = match matcher {
             Matcher::Exhaustive => {
                 let pairs = thousands((photographs * photographs.saturating_sub(1) / 2) as u64);
                 format!("exhaustive, {pairs} pairs")
@@ -366,7 +366,7 @@ impl Arguments {
                 "sequential: each with its neighbours by name (--matcher exhaustive: with all)".into()
             }
         };
-        (matcher, description)
+        (matcher, summary)
     }
 
     fn report(&self, photos: &PhotoFiles, found: &Reconstruction, dataset: &Path, seconds: f64) {
@@ -412,13 +412,13 @@ fn time(seconds: f64) -> String {
 }
 
 /// Progress display of a stage.
-struct ProgressMeter {
+struct StageBar {
     bar: indicatif::ProgressBar,
     /// Steps that earlier runs have done.
     before: AtomicU64,
 }
 
-impl ProgressMeter {
+impl StageBar {
     fn new(what: &'static str, unit: &'static str, total: usize, quiet: bool) -> Self {
         Self { bar: counting_in(what, unit, total as u64, quiet), before: AtomicU64::new(0) }
     }
@@ -436,7 +436,7 @@ impl ProgressMeter {
     }
 }
 
-impl Drop for ProgressMeter {
+impl Drop for StageBar {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
     }

@@ -53,7 +53,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use testing::Tested;
 use tracking::Tracking;
-use training_start::{TrainingStart, check_fits};
+use training_start::{RunStart, check_fits};
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
 ///
@@ -187,12 +187,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let host = &arguments.device.host;
     let offload = arguments.offload.map(|size| size.unwrap_or_else(|| host.memory().limit()));
     let context = arguments.device.context_with(|options| options.offload = offload)?;
-    let mut initial = TrainingStart::read(
-        from.as_ref(),
-        &settings,
-        round.as_ref().and_then(CurrentRound::surroundings),
-        host,
-    )?;
+    let mut initial =
+        RunStart::read(from.as_ref(), &settings, round.as_ref().and_then(CurrentRound::surroundings), host)?;
     job.as_ref().map_or(Ok(()), |job| job.check_coarse(&settings.data.init))?;
     if writes && job.is_none() && initial.is_complete(&settings) {
         return print_complete(&settings);
@@ -263,7 +259,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(round) = &round {
         run.stop_at_end_of(round);
     }
-    run.start_viewers(port, &context, gallery)?;
+    run.serve(port, &context, gallery)?;
     // Nothing is trained yet, so Ctrl-C may end the run here.
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;
@@ -356,7 +352,7 @@ pub struct Run {
 impl Run {
     /// Prepares a run that begins with the data set's points.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
-        Self::begin(context, dataset, (settings, None), &TrainingStart::points(), quiet)
+        Self::begin(context, dataset, (settings, None), &RunStart::points(), quiet)
     }
 
     /// Creates the trainer. Then, when only the disk can still fail, it creates the model folder with
@@ -365,7 +361,7 @@ impl Run {
         context: &Context,
         dataset: Dataset,
         (settings, held): (Settings, Option<FolderLock>),
-        initial: &TrainingStart,
+        initial: &RunStart,
         quiet: bool,
     ) -> Result<Run> {
         let mut first = initial.initial_gaussians(&dataset, &settings)?;

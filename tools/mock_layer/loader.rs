@@ -1,7 +1,7 @@
 //! The interface between loader and layer (vk_layer.h), and the tables of functions.
 
 use super::state::{Callbacks, DeviceState, InstanceState, SetLoaderData};
-use super::submissions::HostWait;
+use super::submissions::Wait;
 use super::{answers, commands, memory, queues};
 use ash::vk;
 use std::ffi::{CStr, c_char, c_void};
@@ -148,7 +148,7 @@ unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: Callback
     if device != vk::Device::null()
         && let Some(state) = DeviceState::remove(device)
     {
-        state.start_needed_by(HostWait::All);
+        state.start_needed_by(Wait::All);
         // SAFETY: the caller's arguments.
         unsafe { (state.v10.destroy_device)(device, callbacks) }
     }

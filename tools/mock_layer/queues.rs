@@ -4,7 +4,7 @@
 //! host accesses too early, although the driver's queue runs everything in order.
 
 use super::state::{Callbacks, DeviceState, in_chain, passed_on, slice};
-use super::submissions::{HostWait, PendingSubmission, Queue, QueueIndex, Submissions};
+use super::submissions::{Queue, QueueIndex, Submission, Submissions, Wait};
 use ash::vk::{self, Handle};
 
 impl Submissions {
@@ -26,7 +26,7 @@ impl Submissions {
     }
 
     /// Same as [`Self::start_ready`], but for a single wait of the host.
-    fn start_for(&mut self, state: &DeviceState, host_wait: HostWait) -> vk::Result {
+    fn start_for(&mut self, state: &DeviceState, host_wait: Wait) -> vk::Result {
         self.host_waits.push(host_wait);
         let result = self.start_ready(state);
         self.host_waits.pop();
@@ -34,9 +34,9 @@ impl Submissions {
     }
 
     /// Starts all submissions of a queue or of the device. Fails if one waits for a signal that was never submitted.
-    fn finish(&mut self, state: &DeviceState, queue_index: Option<QueueIndex>) -> vk::Result {
-        let result = self.start_for(state, queue_index.map_or(HostWait::All, HostWait::Queue));
-        if result == vk::Result::SUCCESS && self.has(queue_index) {
+    fn finish(&mut self, state: &DeviceState, index: Option<QueueIndex>) -> vk::Result {
+        let result = self.start_for(state, index.map_or(Wait::All, Wait::Queue));
+        if result == vk::Result::SUCCESS && self.has(index) {
             eprintln!(
                 "mock layer: the host waits for submissions that wait for a semaphore which nothing signals"
             );
@@ -46,9 +46,9 @@ impl Submissions {
     }
 
     /// Adds a submission of the program.
-    fn add(&mut self, state: &DeviceState, queue_index: QueueIndex, mut submission: PendingSubmission) {
-        (submission.queue_index, submission.is_late) = (queue_index, state.machine.holds(queue_index.0));
-        if state.machine.forgets(queue_index.0) {
+    fn add(&mut self, state: &DeviceState, index: QueueIndex, mut submission: Submission) {
+        (submission.index, submission.is_late) = (index, state.machine.holds(index.0));
+        if state.machine.forgets(index.0) {
             submission.waits.clear();
         }
         // Values of binary semaphores have no meaning.
@@ -61,7 +61,7 @@ impl Submissions {
 
 impl DeviceState {
     /// Waits for the driver on a host thread. Submissions of other threads take its wait into account.
-    pub fn wait(&self, host_waits: &[HostWait], wait: impl FnOnce() -> vk::Result) -> vk::Result {
+    pub fn wait(&self, host_waits: &[Wait], wait: impl FnOnce() -> vk::Result) -> vk::Result {
         let mut submissions = self.submissions();
         submissions.host_waits.extend(host_waits);
         let mut result = submissions.start_ready(self);
@@ -79,20 +79,20 @@ impl DeviceState {
     }
 
     /// Submits what a query of the host needs.
-    pub fn start_needed_by(&self, host_wait: HostWait) {
+    pub fn start_needed_by(&self, host_wait: Wait) {
         let _ = self.submissions().start_for(self, host_wait);
     }
 
     /// Submits what the next value of a timeline semaphore needs.
     fn start_next_of(&self, semaphore: vk::Semaphore) {
         let reached = self.submissions().reached(semaphore);
-        self.start_needed_by(HostWait::SemaphoreValue((semaphore, reached.unwrap_or_default() + 1)));
+        self.start_needed_by(Wait::Semaphore((semaphore, reached.unwrap_or_default() + 1)));
     }
 }
 
 fn index_of(queue: vk::Queue) -> QueueIndex {
     // SAFETY: handles of this layer's queues are addresses of its own objects, which live as long as the device.
-    unsafe { (*(queue.as_raw() as usize as *const Queue)).queue_index }
+    unsafe { (*(queue.as_raw() as usize as *const Queue)).index }
 }
 
 pub unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, queue: *mut vk::Queue) {
@@ -100,9 +100,8 @@ pub unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, q
     let mut submissions = state.submissions();
     // SAFETY: a device begins with the loader's table, which its queues share.
     let table = unsafe { *(device.as_raw() as usize as *const usize) };
-    let queue_index = (family, index);
-    let found =
-        submissions.queues.entry(queue_index).or_insert_with(|| Box::new(Queue { table, queue_index }));
+    let index = (family, index);
+    let found = submissions.queues.entry(index).or_insert_with(|| Box::new(Queue { table, index }));
     // SAFETY: the caller's location for a handle.
     unsafe { *queue = vk::Queue::from_raw((&raw mut **found) as usize as u64) }
 }
@@ -117,7 +116,7 @@ pub unsafe extern "system" fn get2(
 }
 
 /// Converts a submission of the older call. Its chain may hold values of timeline semaphores.
-unsafe fn older(info: &vk::SubmitInfo<'_>) -> PendingSubmission {
+unsafe fn older(info: &vk::SubmitInfo<'_>) -> Submission {
     // SAFETY: the caller's arrays have these lengths.
     unsafe {
         let (mut wait_values, mut signal_values): (&[u64], &[u64]) = (&[], &[]);
@@ -139,17 +138,17 @@ unsafe fn older(info: &vk::SubmitInfo<'_>) -> PendingSubmission {
         let commands = slice(info.p_command_buffers, info.command_buffer_count).iter();
         let signals = slice(info.p_signal_semaphores, info.signal_semaphore_count).iter().enumerate();
         let all = vk::PipelineStageFlags2::ALL_COMMANDS;
-        PendingSubmission {
+        Submission {
             waits: waits.map(|(at, &of)| semaphore(wait_values, at, of, stage(at))).collect(),
             commands: commands.map(buffer).collect(),
             signals: signals.map(|(at, &of)| semaphore(signal_values, at, of, all)).collect(),
-            ..PendingSubmission::default()
+            ..Submission::default()
         }
     }
 }
 
 /// Copies the lists of a submission; the copies hold no pointers.
-unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> PendingSubmission {
+unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Submission {
     let semaphore = |from: &vk::SemaphoreSubmitInfo<'_>| {
         vk::SemaphoreSubmitInfo::default()
             .semaphore(from.semaphore)
@@ -164,20 +163,20 @@ unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> PendingSubmission {
         let waits = slice(info.p_wait_semaphore_infos, info.wait_semaphore_info_count);
         let commands = slice(info.p_command_buffer_infos, info.command_buffer_info_count);
         let signals = slice(info.p_signal_semaphore_infos, info.signal_semaphore_info_count);
-        PendingSubmission {
+        Submission {
             waits: waits.iter().map(semaphore).collect(),
             commands: commands.iter().map(buffer).collect(),
             signals: signals.iter().map(semaphore).collect(),
-            ..PendingSubmission::default()
+            ..Submission::default()
         }
     }
 }
 
 /// Adds the submissions of one call; the fence belongs to the last.
-fn take(queue: vk::Queue, mut all: Vec<PendingSubmission>, fence: vk::Fence) -> vk::Result {
+fn take(queue: vk::Queue, mut all: Vec<Submission>, fence: vk::Fence) -> vk::Result {
     let state = DeviceState::of(queue);
     if fence != vk::Fence::null() && all.is_empty() {
-        all.push(PendingSubmission::default());
+        all.push(Submission::default());
     }
     if let Some(last) = all.last_mut() {
         last.fence = fence;
@@ -232,7 +231,7 @@ pub unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result
 pub unsafe extern "system" fn present(queue: vk::Queue, info: *const vk::PresentInfoKHR<'_>) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    match submissions.start_for(&state, HostWait::All) {
+    match submissions.start_for(&state, Wait::All) {
         // SAFETY: as above.
         vk::Result::SUCCESS => unsafe { (state.swapchain.queue_present_khr)(submissions.queue, info) },
         failure => failure,
@@ -249,17 +248,17 @@ pub unsafe extern "system" fn wait_for_fences(
     let state = DeviceState::of(device);
     // SAFETY: the caller's arguments.
     let host_waits: Vec<_> =
-        unsafe { slice(fences, count).iter().map(|&fence| HostWait::Fence(fence)).collect() };
+        unsafe { slice(fences, count).iter().map(|&fence| Wait::Fence(fence)).collect() };
     // SAFETY: as above.
     state.wait(&host_waits, || unsafe { (state.v10.wait_for_fences)(device, count, fences, all, timeout) })
 }
 
 passed_on! {
     fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result,
-        v10.get_fence_status, |state| state.start_needed_by(HostWait::Fence(fence));
+        v10.get_fence_status, |state| state.start_needed_by(Wait::Fence(fence));
     // The layer does not know which submission sets the event, so it starts all.
     event_status(device: vk::Device, event: vk::Event) -> vk::Result,
-        v10.get_event_status, |state| state.start_needed_by(HostWait::All);
+        v10.get_event_status, |state| state.start_needed_by(Wait::All);
     destroy_semaphore(device: vk::Device, semaphore: vk::Semaphore, callbacks: Callbacks<'_>),
         v10.destroy_semaphore, |state| state.submissions().timelines.remove(&semaphore);
     // Each query starts what the next value needs, so that a polling host makes progress.
@@ -327,10 +326,7 @@ pub unsafe extern "system" fn wait_semaphores(
     let host_waits: Vec<_> = unsafe {
         let semaphores = slice((*info).p_semaphores, (*info).semaphore_count).iter();
         let values = slice((*info).p_values, (*info).semaphore_count).iter();
-        semaphores
-            .zip(values)
-            .map(|(&semaphore, &value)| HostWait::SemaphoreValue((semaphore, value)))
-            .collect()
+        semaphores.zip(values).map(|(&semaphore, &value)| Wait::Semaphore((semaphore, value))).collect()
     };
     // SAFETY: as above.
     state.wait(&host_waits, || unsafe { (state.v12.wait_semaphores)(device, info, timeout) })

@@ -15,11 +15,11 @@ pub type QueueIndex = (u32, u32);
 
 /// Object that the host waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum HostWait {
+pub enum Wait {
     /// The submission with this fence.
     Fence(vk::Fence),
     /// The first submission that signals at least this value.
-    SemaphoreValue(SemaphoreValue),
+    Semaphore(SemaphoreValue),
     /// All submissions of a queue.
     Queue(QueueIndex),
     /// All submissions of the device.
@@ -27,8 +27,8 @@ pub enum HostWait {
 }
 
 #[derive(Debug, Default)]
-pub struct PendingSubmission {
-    pub queue_index: QueueIndex,
+pub struct Submission {
+    pub index: QueueIndex,
     /// True if it starts only when needed.
     pub is_late: bool,
     pub waits: Vec<vk::SemaphoreSubmitInfo<'static>>,
@@ -42,7 +42,7 @@ pub struct PendingSubmission {
 pub struct Queue {
     /// The loader's table, which the loader itself writes here.
     pub table: usize,
-    pub queue_index: QueueIndex,
+    pub index: QueueIndex,
 }
 
 /// The machine's queues and the submissions to them that have not started, in order, with the state of semaphores.
@@ -52,11 +52,11 @@ pub struct Submissions {
     pub queue: vk::Queue,
     /// Boxes keep the addresses stable.
     pub queues: HashMap<QueueIndex, Box<Queue>>,
-    pub pending: Vec<PendingSubmission>,
+    pub pending: Vec<Submission>,
     /// Timeline semaphores with the largest value that started submissions signal.
     pub timelines: HashMap<vk::Semaphore, u64>,
     /// Current waits of the host, one for each waiting thread.
-    pub host_waits: Vec<HostWait>,
+    pub host_waits: Vec<Wait>,
 }
 
 // SAFETY: handles and addresses are used only under the lock; no chains of structs are kept.
@@ -76,7 +76,7 @@ impl Submissions {
     }
 
     /// Takes out the next submission that may and should start.
-    pub fn next(&mut self) -> Option<PendingSubmission> {
+    pub fn next(&mut self) -> Option<Submission> {
         let needed = self.needed();
         let ready = |is_late: bool| {
             (0..self.pending.len())
@@ -91,15 +91,13 @@ impl Submissions {
     }
 
     /// True if a queue still has a submission; without a queue, if any queue does.
-    pub fn has(&self, queue_index: Option<QueueIndex>) -> bool {
-        self.pending
-            .iter()
-            .any(|submission| queue_index.is_none_or(|queue_index| submission.queue_index == queue_index))
+    pub fn has(&self, index: Option<QueueIndex>) -> bool {
+        self.pending.iter().any(|submission| index.is_none_or(|index| submission.index == index))
     }
 
     fn may_start(&self, at: usize) -> bool {
         let of = &self.pending[at];
-        self.pending[..at].iter().all(|earlier| earlier.queue_index != of.queue_index)
+        self.pending[..at].iter().all(|earlier| earlier.index != of.index)
             && of.waits.iter().all(|wait| match self.reached(wait.semaphore) {
                 Some(value) => value >= wait.value,
                 None => self.signaller(wait.semaphore, 0, at).is_none(),
@@ -109,7 +107,7 @@ impl Submissions {
     /// Index of the submission that a wait needs. For a timeline semaphore, the first one that signals enough, at any position.
     /// For a binary one, the last one before the waiting submission.
     fn signaller(&self, semaphore: vk::Semaphore, value: u64, before: usize) -> Option<usize> {
-        let signals = |submission: &PendingSubmission| {
+        let signals = |submission: &Submission| {
             submission.signals.iter().any(|signal| signal.semaphore == semaphore && signal.value >= value)
         };
         match self.reached(semaphore) {
@@ -126,25 +124,19 @@ impl Submissions {
         let mut open: Vec<usize> = (0..count).filter(|&at| !self.pending[at].is_late).collect();
         for host_wait in &self.host_waits {
             match *host_wait {
-                HostWait::All => open.extend(0..count),
-                HostWait::Queue(queue_index) => {
-                    open.extend((0..count).filter(|&at| self.pending[at].queue_index == queue_index))
-                }
-                HostWait::Fence(fence) => {
+                Wait::All => open.extend(0..count),
+                Wait::Queue(index) => open.extend((0..count).filter(|&at| self.pending[at].index == index)),
+                Wait::Fence(fence) => {
                     open.extend(self.pending.iter().position(|submission| submission.fence == fence))
                 }
-                HostWait::SemaphoreValue((semaphore, value)) => {
-                    open.extend(self.signaller(semaphore, value, count))
-                }
+                Wait::Semaphore((semaphore, value)) => open.extend(self.signaller(semaphore, value, count)),
             }
         }
         while let Some(at) = open.pop() {
             if std::mem::replace(&mut needed[at], true) {
                 continue;
             }
-            open.extend(
-                (0..at).filter(|&earlier| self.pending[earlier].queue_index == self.pending[at].queue_index),
-            );
+            open.extend((0..at).filter(|&earlier| self.pending[earlier].index == self.pending[at].index));
             let waits = self.pending[at].waits.iter();
             open.extend(waits.filter_map(|wait| self.signaller(wait.semaphore, wait.value, at)));
         }

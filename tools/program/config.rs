@@ -81,31 +81,31 @@ pub struct SettingsSources {
     file: Option<PathBuf>,
     from_file: Table,
     from_job: Table,
-    from_command_line: Table,
+    from_args: Table,
 }
 
 impl SettingsSources {
     /// Reads the file, and the job that it or the command line names.
     pub fn read(file: Option<&Path>, overrides: &Overrides) -> Result<SettingsSources> {
         let from_file = file.map_or_else(|| Ok(Table::new()), file::table)?;
-        let mut from_command_line = overrides.0.clone();
+        let mut from_args = overrides.0.clone();
         // A preset is a set of defaults, which settings in the file would override.
         let chosen = set_by_presets().find(|&key| from_file.contains_key(key));
-        if let (Some(path), Some(key), true) = (file, chosen, from_command_line.contains_key("preset")) {
+        if let (Some(path), Some(key), true) = (file, chosen, from_args.contains_key("preset")) {
             let problem = format!("sets {key}, which --preset would set");
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));
         }
         // A job in a file counts only if the file lacks the settings that follow from it. A dump has all of them.
         let of_files = from_file.get("job").filter(|_| !from_file.contains_key("source_path"));
-        let job = from_command_line.remove("job").or(of_files.cloned());
+        let job = from_args.remove("job").or(of_files.cloned());
         let job = job.as_ref().and_then(toml::Value::as_str);
         let from_job = job.map_or_else(|| Ok(Table::new()), |job| Job::find(job)?.settings())?;
-        Ok(SettingsSources { file: file.map(Path::to_owned), from_file, from_job, from_command_line })
+        Ok(SettingsSources { file: file.map(Path::to_owned), from_file, from_job, from_args })
     }
 
     /// Settles and checks all settings. Precedence: command line, job, file, defaults.
     pub fn settle(&self, input: &DefaultsInput) -> Result<Settings> {
-        let sources = [&self.from_file, &self.from_job, &self.from_command_line].into_iter().flatten();
+        let sources = [&self.from_file, &self.from_job, &self.from_args].into_iter().flatten();
         let all = sources.map(|(key, value)| (key.clone(), value.clone())).collect();
         let mut settings =
             Settings::from_table(all, input).map_err(|problem| Error::argument("settings", problem))?;
@@ -126,9 +126,7 @@ impl SettingsSources {
 
     /// True if a setting is given.
     fn has(&self, name: &str) -> bool {
-        [&self.from_file, &self.from_job, &self.from_command_line]
-            .iter()
-            .any(|table| table.contains_key(name))
+        [&self.from_file, &self.from_job, &self.from_args].iter().any(|table| table.contains_key(name))
     }
 }
 

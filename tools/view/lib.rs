@@ -47,7 +47,7 @@ use loading::Loading;
 use openings::{OpenRequest, Openings, PortAccess};
 use protocol::ToPage;
 use render_thread::RenderThread;
-use server::{ServeArguments, ServerState};
+use server::{AppState, ServeArguments};
 use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -55,7 +55,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Scope;
 use std::time::Duration;
-use streamed::{SceneRenderer, TileCallback};
+use streamed::{OnTile, SceneRenderer};
 
 /// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
 ///
@@ -129,9 +129,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let hub = Arc::new(Hub::default());
     let name = arguments.path.as_ref().map(|path| path.display().to_string());
     hub.greet_with(&loading::message(name.as_deref().unwrap_or_default()));
-    let server_state = ServerState::new(hub.clone(), out.clone(), arguments.serve.clone());
-    let server_state = Arc::new(server_state.with_openings(openings.clone()));
-    let server = server::start(listener, server_state.clone())?;
+    let state = AppState::new(hub.clone(), out.clone(), arguments.serve.clone());
+    let state = Arc::new(state.with_openings(openings.clone()));
+    let server = server::start(listener, state.clone())?;
     announce(server.address, &arguments.serve);
     outln!(
         "{}; Ctrl-C ends the viewer",
@@ -142,7 +142,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     );
     std::thread::scope(|threads| {
-        let viewer = ViewerSession { arguments, openings, hub: hub.clone(), server_state, stop: &stop };
+        let viewer = ViewerSession { arguments, openings, hub: hub.clone(), state, stop: &stop };
         let ended = viewer.run(threads, out);
         // Stops a scene that is still being read.
         stop.store(true, Ordering::Relaxed);
@@ -159,7 +159,7 @@ struct ViewerSession<'a> {
     arguments: &'a Arguments,
     openings: Option<Arc<Openings>>,
     hub: Arc<Hub>,
-    server_state: Arc<ServerState>,
+    state: Arc<AppState>,
     stop: &'a AtomicBool,
 }
 
@@ -182,12 +182,12 @@ impl<'a> ViewerSession<'a> {
         let mut loading = scene.map(request).map(begin).transpose()?;
         // The device opens while the scene is read.
         let context = arguments.device.context()?;
-        let mut scene_renderer = SceneRenderer::new(Renderer::new(&context)?, arguments.look.sh_storage);
+        let mut renderer = SceneRenderer::new(Renderer::new(&context)?, arguments.look.sh_storage);
         let mut render_thread = RenderThread::new(hub.clone(), RenderSettings::default(), out);
         let first =
             loading.take().map_or_else(|| Ok(LoadedScene::nothing()), |loading| loading.finish().1)?;
         let mut open = first.open_scenes();
-        self.show(first, &mut open, &mut scene_renderer, &mut render_thread)?;
+        self.show(first, &mut open, &mut renderer, &mut render_thread)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
                 let (mut request, read) = read.finish();
@@ -197,17 +197,13 @@ impl<'a> ViewerSession<'a> {
                     let (name, file) = (request.name.clone(), self.file_for_commands(&request, loaded.file));
                     let mut loaded = LoadedScene { name, file, ..loaded };
                     if request.add && open.parts.iter().any(|part| part.count > 0) {
-                        loaded = self.added(loaded, open.clone(), &scene_renderer)?;
+                        loaded = self.added(loaded, open.clone(), &renderer)?;
                     }
-                    self.show(loaded, &mut open, &mut scene_renderer, &mut render_thread)
+                    self.show(loaded, &mut open, &mut renderer, &mut render_thread)
                 });
                 // The previous scene stays.
                 if let Err(error) = opened {
-                    hub.broadcast(&loading::failure(
-                        &request.name,
-                        &error,
-                        request.private_prefix().as_deref(),
-                    ));
+                    hub.broadcast(&loading::failure(&request.name, &error, request.prefix().as_deref()));
                     render_thread::fatal(error)?;
                 }
             }
@@ -215,7 +211,7 @@ impl<'a> ViewerSession<'a> {
                 let request = self.openings.as_ref().and_then(|openings| openings.take());
                 loading = request.map(begin).transpose()?;
             }
-            render_thread.serve(&mut scene_renderer, POLL_INTERVAL)?;
+            render_thread.serve(&mut renderer, POLL_INTERVAL)?;
         }
         arguments.device.report_validation(&context);
         Ok(())
@@ -236,27 +232,22 @@ impl<'a> ViewerSession<'a> {
     }
 
     /// Adds a scene to those that are open.
-    fn added(
-        &self,
-        loaded: LoadedScene,
-        mut open: OpenScenes,
-        scene_renderer: &SceneRenderer,
-    ) -> Result<LoadedScene> {
-        let name = &loaded.name;
-        if loaded.tree.is_some() || scene_renderer.tree().is_some() {
+    fn added(&self, new: LoadedScene, mut open: OpenScenes, renderer: &SceneRenderer) -> Result<LoadedScene> {
+        let name = &new.name;
+        if new.tree.is_some() || renderer.tree().is_some() {
             return Err(Error::argument(name, "is not added: a tree of tiles is drawn alone"));
         }
-        scene_renderer.keep_drawn(name, &mut open.parts)?;
-        let all = scene_renderer.gaussians(GaussianSet::Visible)?;
-        let degree = loaded.gaussians.sh_degree.max(all.sh_degree);
-        let needed = (all.len() + loaded.gaussians.len()) as u64 * splats::row_bytes(degree);
+        renderer.keep_drawn(name, &mut open.parts)?;
+        let all = renderer.gaussians(GaussianSet::Visible)?;
+        let degree = new.gaussians.sh_degree.max(all.sh_degree);
+        let needed = (all.len() + new.gaussians.len()) as u64 * splats::row_bytes(degree);
         let limit = self.arguments.device.host.memory().limit();
         if needed > limit {
             let what = format!("{name} beside the open scene");
             let (unit, limit_name) = ("bytes of host memory", "--max-host-memory");
             return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
         }
-        Ok(LoadedScene { joined: Some(self.hub.run()), ..loaded.added_to(open, all) })
+        Ok(LoadedScene { joined: Some(self.hub.run()), ..new.added_to(open, all) })
     }
 
     /// Shows a scene. If it does not fit, the scenes that were open before are shown again, if any.
@@ -264,24 +255,24 @@ impl<'a> ViewerSession<'a> {
         &self,
         loaded: LoadedScene,
         open: &mut OpenScenes,
-        scene_renderer: &mut SceneRenderer,
+        renderer: &mut SceneRenderer,
         render_thread: &mut RenderThread,
     ) -> Result<()> {
-        let mut greeting = loaded.greeting(scene_renderer.renderer.context().device_name(), None);
+        let mut greeting = loaded.greeting(renderer.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
         let hub = self.hub.clone();
-        let on_tile: TileCallback = Arc::new(move |problem: Option<String>| match problem {
+        let on_tile: OnTile = Arc::new(move |problem: Option<String>| match problem {
             None => hub.renew(),
             Some(problem) => hub.broadcast(&ToPage::problem(&problem)),
         });
-        if let Err(error) = scene_renderer.show(&loaded.gaussians, loaded.tree.as_ref(), on_tile) {
+        if let Err(error) = renderer.show(&loaded.gaussians, loaded.tree.as_ref(), on_tile) {
             // The previous scene is already gone.
-            self.show(loaded.without_last(), open, scene_renderer, render_thread)?;
+            self.show(loaded.without_last(), open, renderer, render_thread)?;
             return Err(error);
         }
         *open = loaded.open_scenes();
         render_thread.show(loaded.base, loaded.appearances, loaded.frame);
-        self.server_state.show_photos(loaded.photos);
+        self.state.show_photos(loaded.photos);
         self.hub.greet_with(&greeting);
         self.hub.broadcast(&ToPage::json(&greeting));
         Ok(())

@@ -46,9 +46,8 @@ pub fn message(name: &str) -> Value {
 }
 
 /// Message to pages when reading has failed, without the path of the uploaded file's folder.
-pub fn failure(name: &str, error: &Error, private_prefix: Option<&str>) -> ToPage {
-    let message_text = error.to_string();
-    let message_text = private_prefix
-        .map_or(message_text.clone(), |private_prefix| message_text.replace(private_prefix, ""));
-    ToPage::json(&json!({ "type": "loading", "name": name, "failed": message_text }))
+pub fn failure(name: &str, error: &Error, prefix: Option<&str>) -> ToPage {
+    let text = error.to_string();
+    let text = prefix.map_or(text.clone(), |prefix| text.replace(prefix, ""));
+    ToPage::json(&json!({ "type": "loading", "name": name, "failed": text }))
 }

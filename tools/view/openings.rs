@@ -46,7 +46,7 @@ pub struct OpenRequest {
 
 impl OpenRequest {
     /// Folder of a file that a page has sent or named. Messages to pages show paths without it.
-    pub fn private_prefix(&self) -> Option<String> {
+    pub fn prefix(&self) -> Option<String> {
         let folder = self.upload.as_ref().map(TempDir::path).or(self.within.as_deref())?;
         Some(format!("{}{}", folder.display(), std::path::MAIN_SEPARATOR))
     }

@@ -13,7 +13,7 @@ use queue::{Permit, Queue};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-pub use queue::Requester;
+pub use queue::Client;
 
 /// Bytes of encoded photos, and of thumbnails, to keep.
 const CACHE_BYTES: usize = 64 << 20;
@@ -115,14 +115,14 @@ impl Photos {
         self: &Arc<Photos>,
         index: usize,
         size: Size,
-        requester: Requester,
+        client: Client,
     ) -> Result<Bytes, Refusal> {
         let cost = *self.costs.get(index).ok_or(Refusal::Unknown)?;
         let cached = self.cache(size).find(index);
         let bytes = match cached {
             Some(bytes) => bytes,
             None => {
-                let permit = self.decoding.acquire(requester, cost).await.ok_or(Refusal::Busy)?;
+                let permit = self.decoding.acquire(client, cost).await.ok_or(Refusal::Busy)?;
                 // Another request may have decoded the same photo meanwhile.
                 let cached = self.cache(size).find(index);
                 match cached {
@@ -132,7 +132,7 @@ impl Photos {
             }
         };
         let mib = u32::try_from(bytes.len().div_ceil(1 << 20)).unwrap_or(SENDING_MIB);
-        let permit = self.sending.acquire(requester, mib).await.ok_or(Refusal::Busy)?;
+        let permit = self.sending.acquire(client, mib).await.ok_or(Refusal::Busy)?;
         Ok(Bytes::from_owner(SentPhoto { bytes, _permit: permit }))
     }
 

@@ -11,7 +11,7 @@ mod page;
 use super::assets;
 use super::hub::Hub;
 use super::openings::{Openings, PortAccess};
-use super::photos::{Photos, Refusal, Requester, Size};
+use super::photos::{Client, Photos, Refusal, Size};
 use ashsplat::{Error, Result};
 use ashsplat_program::session::locked;
 use axum::extract::{Path as UrlPath, State};
@@ -76,7 +76,7 @@ pub fn origin(text: &str) -> std::result::Result<String, String> {
 const WORKERS: usize = 2;
 
 /// State that requests are answered from.
-pub struct ServerState {
+pub struct AppState {
     hub: Arc<Hub>,
     photos: Mutex<Option<Arc<Photos>>>,
     /// Folder of the films.
@@ -89,24 +89,16 @@ pub struct ServerState {
     exports: Arc<Semaphore>,
 }
 
-impl ServerState {
+impl AppState {
     /// `films`: folder of the films.
-    pub fn new(hub: Arc<Hub>, films: PathBuf, serve: ServeArguments) -> ServerState {
+    pub fn new(hub: Arc<Hub>, films: PathBuf, serve: ServeArguments) -> AppState {
         let exports = Arc::new(Semaphore::new(export::MAX_EXPORTS));
-        ServerState {
-            hub,
-            photos: Mutex::default(),
-            films,
-            serve,
-            refused: Once::new(),
-            openings: None,
-            exports,
-        }
+        Self { hub, photos: Mutex::default(), films, serve, refused: Once::new(), openings: None, exports }
     }
 
     /// Lets pages open scenes.
-    pub fn with_openings(self, openings: Option<Arc<Openings>>) -> ServerState {
-        ServerState { openings, ..self }
+    pub fn with_openings(self, openings: Option<Arc<Openings>>) -> AppState {
+        AppState { openings, ..self }
     }
 
     /// Replaces the photos.
@@ -147,7 +139,7 @@ impl Drop for Server {
 }
 
 /// Starts to serve at an open port.
-pub fn start(listener: TcpListener, state: impl Into<Arc<ServerState>>) -> Result<Server> {
+pub fn start(listener: TcpListener, state: impl Into<Arc<AppState>>) -> Result<Server> {
     let state = state.into();
     let failed = |e: std::io::Error| Error::argument("viewer", format!("cannot listen: {e}"));
     let address = listener.local_addr().map_err(failed)?;
@@ -209,7 +201,7 @@ pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
     })
 }
 
-fn router(state: Arc<ServerState>) -> Router {
+fn router(state: Arc<AppState>) -> Router {
     Router::new()
         .route("/socket", get(page::socket).post(page::explain))
         .route(
@@ -262,17 +254,16 @@ fn busy(problem: &str) -> Response {
 /// Answers with a photo of the data set as JPEG. Pages send their number, so that one with many requests does not delay the others.
 async fn photo(
     size: Size,
-    State(state): State<Arc<ServerState>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     UrlPath(index): UrlPath<usize>,
     uri: Uri,
 ) -> Response {
     let page = access::query_value(&uri, "page").and_then(|page| page.parse().ok());
-    let requester =
-        Requester { peer: connection.peer(), page: page.filter(|page| state.hub.has_page(*page)) };
+    let client = Client { peer: connection.peer(), page: page.filter(|page| state.hub.has_page(*page)) };
     let Some(photos) = state.photos() else { return StatusCode::NOT_FOUND.into_response() };
     // Photo addresses carry the run's name, so another scene at this port has different ones.
-    match photos.jpeg(index, size, requester).await {
+    match photos.jpeg(index, size, client).await {
         Ok(bytes) => {
             let kind = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "max-age=3600")];
             (kind, bytes).into_response()
@@ -284,7 +275,7 @@ async fn photo(
 }
 
 /// Answers with a film's file of this run; other files in the folder are not served.
-async fn film(State(state): State<Arc<ServerState>>, UrlPath(name): UrlPath<String>) -> Response {
+async fn film(State(state): State<Arc<AppState>>, UrlPath(name): UrlPath<String>) -> Response {
     if !state.hub.has_film_file(&name) {
         return StatusCode::NOT_FOUND.into_response();
     }
@@ -313,7 +304,7 @@ mod tests {
         hub.greet_with(&serde_json::json!({}));
         let (host, of_training) = ("127.0.0.1".into(), false);
         let serve = ServeArguments { host, port: 0, token: None, allow_origin: None, of_training };
-        let state = ServerState::new(hub.clone(), PathBuf::new(), serve.clone());
+        let state = AppState::new(hub.clone(), PathBuf::new(), serve.clone());
         let server = start(open(&serve).expect("a port"), state).expect("a server");
         let address = server.address;
         let page = || {

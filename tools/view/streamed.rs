@@ -40,20 +40,20 @@ pub struct SceneRenderer {
 const SELECTION: ([f32; 3], f32) = ([1.0, 0.45, 0.0], 0.65);
 
 /// Called on any thread: with a message for people, or with none when a tile was loaded or has failed, so that the picture is drawn again.
-pub type TileCallback = Arc<dyn Fn(Option<String>) + Send + Sync>;
+pub type OnTile = Arc<dyn Fn(Option<String>) + Send + Sync>;
 
 /// The displayed tree.
 struct Streaming {
     tree: Arc<Tree>,
     residency: Residency<DeviceScene>,
     loader: Loader,
-    on_tile: TileCallback,
+    on_tile: OnTile,
     /// The program's budget, Gaussians.
     budget: usize,
     /// The current viewer and its budget.
     current: (Viewer, usize),
     /// Most Gaussians that the device has had memory for; caps every viewer's budget.
-    device_budget: usize,
+    limit: usize,
     /// Figures of the last picture.
     shown: Value,
 }
@@ -77,12 +77,7 @@ impl SceneRenderer {
     }
 
     /// Shows a scene, or the tree whose coarsest tile it is.
-    pub fn show(
-        &mut self,
-        gaussians: &Gaussians,
-        tree: Option<&Streamed>,
-        on_tile: TileCallback,
-    ) -> Result<()> {
+    pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, on_tile: OnTile) -> Result<()> {
         (self.streaming, self.edits, self.mask) = (None, None, None);
         if !gaussians.is_empty() {
             upload(&mut self.renderer, gaussians, self.sh_storage)?;
@@ -108,7 +103,7 @@ impl SceneRenderer {
             on_tile,
             budget: streamed.budget,
             current: (Viewer::default(), streamed.budget),
-            device_budget: usize::MAX,
+            limit: usize::MAX,
             shown: Value::Null,
         });
         Ok(())
@@ -179,11 +174,8 @@ impl SceneRenderer {
     pub fn capacity(&self) -> Option<[usize; 2]> {
         let streaming = self.streaming.as_ref()?;
         let tiles = streaming.tree.tiles();
-        let gaussians = streaming
-            .budget
-            .min(streaming.device_budget)
-            .min(streaming.tree.gaussians())
-            .max(tiles[0].gaussians);
+        let gaussians =
+            streaming.budget.min(streaming.limit).min(streaming.tree.gaussians()).max(tiles[0].gaussians);
         // No tile of a picture is an ancestor of another, so count the smallest tiles that fit.
         let mut smallest: Vec<usize> = tiles.iter().map(|tile| tile.gaussians).collect();
         smallest.sort_unstable();
@@ -210,15 +202,13 @@ impl Streaming {
             return true;
         }
         let coarsest = self.tree.tiles()[0].gaussians;
-        let budget = self.current.1.min(self.device_budget).min(self.tree.gaussians());
+        let budget = self.current.1.min(self.limit).min(self.tree.gaussians());
         if budget <= coarsest {
             return false;
         }
-        self.device_budget = (budget / 2).max(coarsest);
-        let device_budget = self.device_budget;
-        self.say(format!(
-            "no memory for {budget} Gaussians, at most {device_budget} are drawn from now on: {error}"
-        ));
+        self.limit = (budget / 2).max(coarsest);
+        let limit = self.limit;
+        self.say(format!("no memory for {budget} Gaussians, at most {limit} are drawn from now on: {error}"));
         true
     }
 
@@ -234,7 +224,7 @@ impl Streaming {
             }
         }
         let (viewer, requested) = self.current;
-        let budget = requested.min(self.device_budget);
+        let budget = requested.min(self.limit);
         let cut = self.residency.cut(viewer, &Demand::of(camera, budget));
         self.loader.request(cut.missing.iter().copied());
         let (resident, resident_gaussians) = self.residency.resident();

@@ -136,8 +136,8 @@ fn in_front(view: &View, points: &[Vec3]) -> Track {
     let placed: Vec<_> = points.iter().filter_map(placed).collect();
     let mut nearest: HashMap<[u32; 2], f32> = HashMap::new();
     for (cell, inverse_z, _) in &placed {
-        let nearest_inverse_z = nearest.entry(*cell).or_default();
-        *nearest_inverse_z = nearest_inverse_z.max(*inverse_z);
+        let cell_max = nearest.entry(*cell).or_default();
+        *cell_max = cell_max.max(*inverse_z);
     }
     let in_front = placed.into_iter().filter(|(cell, inverse_z, _)| inverse_z * BEHIND >= nearest[cell]);
     in_front.map(|(.., point)| point).collect()

@@ -11,7 +11,7 @@ use crate::passes::densify::{
 use crate::train::population::Population;
 use crate::train::schedule::pool_views;
 use crate::train::settings::{ImportanceType, SplitType, TrainSettings};
-use crate::train::strategy::{Actions, Changes, Densified, IterationWork, Strategy, unknown};
+use crate::train::strategy::{Actions, Changes, Densified, StepWork, Strategy, unknown};
 use crate::vk::{Buffer, Context};
 
 /// Pruning of Gaussians that are still faint after the start.
@@ -82,7 +82,7 @@ impl Strategy for Budget {
         Ok(())
     }
 
-    fn work(&self, settings: &TrainSettings, iteration: u32) -> IterationWork {
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> StepWork {
         let schedule = GrowthSchedule::of(settings, 0);
         let densifies = settings.densifies_at(iteration);
         let resets = settings.resets_opacity_at(iteration);
@@ -92,7 +92,7 @@ impl Strategy for Budget {
             .and(PRUNE_FAINT.when(schedule.prunes_faint_at(iteration)))
             .and(PRUNE_RANKS.when(schedule.prunes_ranks_at(iteration)))
             .and(PRUNE_LATE.when(schedule.prunes_late_at(iteration)));
-        IterationWork {
+        StepWork {
             accumulates: settings.collects_statistics_at(iteration),
             // The step precedes densification, which splits the set that the step made.
             optimizes: true,

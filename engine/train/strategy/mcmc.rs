@@ -6,9 +6,7 @@ use crate::error::Result;
 use crate::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, OrderInputs, RandomKey, Relocation};
 use crate::train::population::Population;
 use crate::train::settings::TrainSettings;
-use crate::train::strategy::{
-    Actions, Changes, Densified, IterationWork, NOT_IN_OTHERS, StepInputs, Strategy,
-};
+use crate::train::strategy::{Actions, Changes, Densified, NOT_IN_OTHERS, StepInputs, StepWork, Strategy};
 use crate::vk::{Context, Recorder};
 
 /// Size of the set after a densification (3dgs-mcmc, `add_new_gs`), in percent.
@@ -41,9 +39,9 @@ impl Strategy for Mcmc {
         check_cap(settings.cap_max, gaussians)
     }
 
-    fn work(&self, settings: &TrainSettings, iteration: u32) -> IterationWork {
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> StepWork {
         let densifies = settings.densifies_at(iteration);
-        IterationWork {
+        StepWork {
             accumulates: false,
             optimizes: true,
             optimizes_opacity: true,

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::passes::densify::{Densify, DensifyForm, DensifySettings, RESET_OPACITY};
 use crate::train::population::Population;
 use crate::train::settings::{SplitType, TrainSettings};
-use crate::train::strategy::{Actions, Changes, Densified, IterationWork, Strategy, unknown};
+use crate::train::strategy::{Actions, Changes, Densified, StepWork, Strategy, unknown};
 use crate::vk::Context;
 
 /// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).
@@ -43,10 +43,10 @@ impl Strategy for Reference {
             .refuse(self.name(), &["cap_ratio", "importance", "growth_curve", "recovery", "late_min_opacity"])
     }
 
-    fn work(&self, settings: &TrainSettings, iteration: u32) -> IterationWork {
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> StepWork {
         let densifies = settings.densifies_at(iteration);
         let resets = settings.resets_opacity_at(iteration);
-        IterationWork {
+        StepWork {
             accumulates: settings.collects_statistics_at(iteration),
             // In the reference, densification replaces the parameters, so that they have no gradient. A reset does the same to
             // the opacities.

@@ -3,7 +3,7 @@
 use super::colmap::{Colmap, Job};
 use super::source::{PhotoInfo, by_camera};
 use super::workspace::{LOG_FILE, Workspace};
-use super::{Arguments, MIN_PHOTOS, PhotoFiles, ProgressMeter, time};
+use super::{Arguments, MIN_PHOTOS, PhotoFiles, StageBar, time};
 use ashsplat::{Error, Result};
 use ashsplat_files::{DatasetOptions, Gallery, Progress};
 use ashsplat_program::child::LoggedOutput;
@@ -57,9 +57,8 @@ impl Cameras<'_> {
         let job = self.job(workspace)?;
         let models = workspace.fresh_folder("sparse")?;
         let begin = Instant::now();
-        let meter =
-            ProgressMeter::new("cameras", "photographs", self.photos.names.len(), self.arguments.quiet);
-        let ended = self.run(meter, self.colmap.mapping(&job, &models), &log)?;
+        let bar = StageBar::new("cameras", "photographs", self.photos.names.len(), self.arguments.quiet);
+        let ended = self.run(bar, self.colmap.mapping(&job, &models), &log)?;
         let count = std::fs::read_dir(&models).map_err(|e| Error::io(&models, "read", e))?.count();
         if count == 0 {
             let is_unconnected = |line: &String| UNCONNECTED.iter().any(|words| line.contains(words));
@@ -79,16 +78,16 @@ impl Cameras<'_> {
         let photographs = self.photos.names.len();
         loop {
             let job = self.job(workspace)?;
-            let (matcher, description) = self.arguments.matcher(photographs, self.gpu);
+            let (matcher, summary) = self.arguments.matcher(photographs, self.gpu);
             let begin = Instant::now();
-            let meter = ProgressMeter::new("matches", matcher.unit(), 1, self.arguments.quiet);
-            let ended = self.run(meter, self.colmap.matches(&job, matcher, photographs), log)?;
+            let bar = StageBar::new("matches", matcher.unit(), 1, self.arguments.quiet);
+            let ended = self.run(bar, self.colmap.matches(&job, matcher, photographs), log)?;
             if self.gpu && !ended.status.success() {
                 self.use_processor("matching");
                 continue;
             }
             self.success("matching", &ended, log)?;
-            self.note_stage("matches", begin, &description);
+            self.note_stage("matches", begin, &summary);
             return Ok(());
         }
     }
@@ -157,33 +156,28 @@ impl Cameras<'_> {
             }
             let job = self.job(workspace)?;
             let device = if self.gpu { "on a GPU" } else { "on the processor" };
-            let description = format!("{cameras} ({}); {} {device}", job.camera_model, self.colmap.version);
+            let summary = format!("{cameras} ({}); {} {device}", job.camera_model, self.colmap.version);
             let list = workspace.path("list.txt");
             let begin = Instant::now();
             let run = || {
-                let meter = ProgressMeter::new(
-                    "features",
-                    "photographs",
-                    self.photos.names.len(),
-                    self.arguments.quiet,
-                );
+                let bar =
+                    StageBar::new("features", "photographs", self.photos.names.len(), self.arguments.quiet);
                 for group in &groups {
                     std::fs::write(&list, group.join("\n") + "\n")
                         .map_err(|e| Error::io(&list, "write", e))?;
                     let list = std::path::absolute(&list).map_err(|e| Error::io(&list, "find", e))?;
                     let args = self.colmap.features(&job, &list, shared);
-                    let ended =
-                        self.colmap.run(&args, &log, self.stop, &|progress| meter.update(progress))?;
+                    let ended = self.colmap.run(&args, &log, self.stop, &|progress| bar.update(progress))?;
                     if !ended.status.success() {
                         return Ok(Some(ended));
                     }
-                    meter.before.fetch_add(group.len() as u64, Ordering::Relaxed);
+                    bar.before.fetch_add(group.len() as u64, Ordering::Relaxed);
                 }
                 Ok(None)
             };
             match run()? {
                 None => {
-                    self.note_stage("features", begin, &description);
+                    self.note_stage("features", begin, &summary);
                     return workspace.note_features(Some(key));
                 }
                 Some(_) if self.gpu => self.use_processor("search for features"),
@@ -210,8 +204,8 @@ impl Cameras<'_> {
         self.arguments.note(&format!("{name:<11} {took}: {about}"));
     }
 
-    fn run(&self, meter: ProgressMeter, args: Vec<OsString>, log: &Path) -> Result<LoggedOutput> {
-        self.colmap.run(&args, log, self.stop, &|progress| meter.update(progress))
+    fn run(&self, bar: StageBar, args: Vec<OsString>, log: &Path) -> Result<LoggedOutput> {
+        self.colmap.run(&args, log, self.stop, &|progress| bar.update(progress))
     }
 
     fn success(&self, what: &str, ended: &LoggedOutput, log: &Path) -> Result<()> {

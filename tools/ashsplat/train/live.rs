@@ -16,7 +16,7 @@ use ashsplat_program::session::{guarded, locked};
 use ashsplat_view::hub::Hub;
 use ashsplat_view::protocol::{ToPage, TrainAction};
 use ashsplat_view::render_thread::RenderThread;
-use ashsplat_view::server::{ServeArguments, Server, ServerState};
+use ashsplat_view::server::{AppState, ServeArguments, Server};
 use ashsplat_view::{LoadedScene, PhotoAppearances, Photos, announce, render_thread, server};
 use clap::Args;
 use curves::Curves;
@@ -58,18 +58,18 @@ impl LiveArguments {
     }
 
     /// Opens the requested port, if any.
-    pub fn open(&self) -> Result<Option<OpenPort>> {
+    pub fn open(&self) -> Result<Option<Port>> {
         let Some(port) = self.view else { return Ok(None) };
         let (host, token) = (self.view_host.clone(), self.view_token.clone());
         let allow_origin = self.view_allow_origin.clone();
         let serve = ServeArguments { host, port, token, allow_origin, of_training: true };
-        Ok(Some(OpenPort { listener: server::open(&serve)?, serve, share: self.view_share }))
+        Ok(Some(Port { listener: server::open(&serve)?, serve, share: self.view_share }))
     }
 }
 
 /// An open port that is not served yet; early connections wait. It is opened before anything is loaded, so that a port
 /// in use is an error at once.
-pub struct OpenPort {
+pub struct Port {
     listener: TcpListener,
     serve: ServeArguments,
     /// See [`LiveArguments`].
@@ -105,7 +105,7 @@ pub struct Live {
 
 impl Live {
     /// Accepts connections at the port. `device`: the device's name.
-    fn start(port: OpenPort, scene: LoadedScene, device: &str, settings: &Settings) -> Result<Live> {
+    fn start(port: Port, scene: LoadedScene, device: &str, settings: &Settings) -> Result<Live> {
         let hub = Arc::new(Hub::default());
         let (data, iterations) = (&settings.data, settings.train.iterations);
         hub.greet_with(&scene.greeting(device, Some(iterations)));
@@ -115,9 +115,9 @@ impl Live {
         let films = data.model_path.join("films");
         let mut render_thread = RenderThread::new(hub.clone(), scene.base, films.clone());
         render_thread.show(scene.base, scene.appearances, scene.frame);
-        let server_state = ServerState::new(hub.clone(), films, port.serve.clone());
-        server_state.show_photos(scene.photos);
-        let server = server::start(port.listener, server_state)?;
+        let state = AppState::new(hub.clone(), films, port.serve.clone());
+        state.show_photos(scene.photos);
+        let server = server::start(port.listener, state)?;
         announce(server.address, &port.serve);
         Ok(Live {
             render_thread,
@@ -237,12 +237,7 @@ impl Live {
 
 impl Run {
     /// Starts the viewers, if requested.
-    pub fn start_viewers(
-        &mut self,
-        port: Option<OpenPort>,
-        context: &Context,
-        gallery: Option<Gallery>,
-    ) -> Result<()> {
+    pub fn serve(&mut self, port: Option<Port>, context: &Context, gallery: Option<Gallery>) -> Result<()> {
         let Some(port) = port else { return Ok(()) };
         let (data, train) = (&self.settings.data, &self.settings.train);
         let cameras = gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default();

@@ -27,7 +27,7 @@ impl LiveArguments {
 pub enum Live {}
 
 impl Run {
-    pub fn start_viewers(&mut self, _: Option<Live>, _: &Context, _: Option<Gallery>) -> Result<()> {
+    pub fn serve(&mut self, _: Option<Live>, _: &Context, _: Option<Gallery>) -> Result<()> {
         Ok(())
     }
 

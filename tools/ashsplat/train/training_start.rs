@@ -19,7 +19,7 @@ use std::path::Path;
 /// The start of a training: a checkpoint, else a scene, else the points of the data set or their substitute. A
 /// checkpoint of a block lacks its surroundings, which come from the scene or the points.
 #[derive(Default)]
-pub struct TrainingStart {
+pub struct RunStart {
     start: Option<Box<ResumePoint>>,
     /// Gaussians of the file `--init`.
     scene: Option<Scene>,
@@ -42,7 +42,7 @@ pub struct InitialGaussians {
     pub points: Option<PointCloud>,
 }
 
-impl TrainingStart {
+impl RunStart {
     /// Reads the requested start. A checkpoint precedes `--init`, with which its training may have begun. Warns if a
     /// scene was trained with another low-pass filter. `exchanged` is the scene around a block after an exchange.
     pub fn read(
@@ -50,7 +50,7 @@ impl TrainingStart {
         settings: &Settings,
         exchanged: Option<&Path>,
         host: &HostArguments,
-    ) -> Result<TrainingStart> {
+    ) -> Result<RunStart> {
         let data = &settings.data;
         let start = from.map(|from| ResumePoint::find(from, &data.model_path, host)).transpose()?.flatten();
         let start = start.map(Box::new);
@@ -66,11 +66,7 @@ impl TrainingStart {
         }
         let (continues, has_block) = (start.is_some(), data.block(&WorldFrame::default())?.is_some());
         if data.init.as_os_str().is_empty() || continues && !has_block {
-            return Ok(TrainingStart {
-                start,
-                needs_points: !continues || has_block,
-                ..TrainingStart::default()
-            });
+            return Ok(RunStart { start, needs_points: !continues || has_block, ..RunStart::default() });
         }
         let whole = |path: &Path| path.canonicalize().ok();
         let (init, model) = (whole(&data.init), whole(&data.model_path));
@@ -83,12 +79,12 @@ impl TrainingStart {
             Some(exchanged) if data.looks_at_depths()? => (read(&data.init)?, Some(read(exchanged)?)),
             other => (read(other.unwrap_or(&data.init))?, None),
         };
-        Ok(TrainingStart { start, scene: Some(scene), exchanged, ..TrainingStart::default() })
+        Ok(RunStart { start, scene: Some(scene), exchanged, ..RunStart::default() })
     }
 
     /// A training that begins with the data set's points.
-    pub fn points() -> TrainingStart {
-        TrainingStart { needs_points: true, ..TrainingStart::default() }
+    pub fn points() -> RunStart {
+        RunStart { needs_points: true, ..RunStart::default() }
     }
 
     /// Divides a scene into the block's trained Gaussians and the visible rest. Returns a note if some of the rest is
@@ -275,13 +271,8 @@ fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Sc
 }
 
 /// Refuses a training that does not fit, by the sizes of the photos, before they are read.
-pub fn check_fits(
-    context: &Context,
-    gallery: &Gallery,
-    settings: &Settings,
-    initial: &TrainingStart,
-) -> Result<()> {
-    let [gaussians, frozen] = initial.counts(settings, (gallery.points(), gallery.frame()))?;
+pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, start: &RunStart) -> Result<()> {
+    let [gaussians, frozen] = start.counts(settings, (gallery.points(), gallery.frame()))?;
     settings.train.check_cameras(gallery.used_cameras()?.iter())?;
     Forecast {
         settings: &settings.train,
@@ -289,7 +280,7 @@ pub fn check_fits(
         photo_memory: gallery.file_memory(),
         gaussians: to_u32(gaussians as u64)?,
         frozen: to_u32(frozen as u64)?,
-        capacities: initial.checkpoint().map(|checkpoint| &checkpoint.capacities),
+        capacities: start.checkpoint().map(|checkpoint| &checkpoint.capacities),
     }
     .check(context)
 }

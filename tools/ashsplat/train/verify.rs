@@ -2,7 +2,7 @@
 
 use super::checkpoints::ResumePoint;
 use super::prepared;
-use super::training_start::TrainingStart;
+use super::training_start::RunStart;
 use ashsplat::train::verify::{Verdict, verify_determinism};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -14,7 +14,7 @@ use ashsplat_program::config::Settings;
 pub fn run(
     context: &Context,
     dataset: Dataset,
-    (settings, initial): (&Settings, &TrainingStart),
+    (settings, initial): (&Settings, &RunStart),
     iterations: u32,
     quiet: bool,
 ) -> Result<()> {

@@ -2,7 +2,7 @@
 
 use super::Arguments;
 use super::{largest_difference, open, silent_profile, spec};
-use crate::compare::{self, TimeComparison};
+use crate::compare::{self, Row};
 use crate::frames::{Plan, PlannedWork};
 use crate::measure::Measured;
 use crate::traffic::Traffic;
@@ -36,9 +36,9 @@ pub fn run(arguments: &Arguments, settings: &[String], plan: &Plan) -> Result<()
     kernels.iter_mut().try_for_each(|kernels| super::only(arguments.kernel.as_deref(), kernels))?;
     let name = arguments.what().name();
     let [wall_a, wall_b] = [0, 1].map(|i: usize| measured[i].wall_ms().times(1e3));
-    let mut lines = vec![TimeComparison::whole(name, "wall", wall_a, wall_b)];
+    let mut lines = vec![Row::whole(name, "wall", wall_a, wall_b)];
     if let [Some(a), Some(b)] = [0, 1].map(|i: usize| measured[i].device_ms()) {
-        lines.push(TimeComparison::whole(name, "device", a.times(1e3), b.times(1e3)));
+        lines.push(Row::whole(name, "device", a.times(1e3), b.times(1e3)));
     }
     lines.extend(compare::kernels(name, &kernels[0], &kernels[1]));
     let both = if arguments.spec.is_empty() {

@@ -30,7 +30,7 @@ pub use missing::{run, take_over};
 #[cfg(feature = "hot-reload")]
 mod reloading {
     use super::super::{Arguments, largest_difference, print_messages, silent_profile, spec};
-    use crate::compare::{self, TimeComparison};
+    use crate::compare::{self, Row};
     use crate::frames::{Plan, PlannedWork};
     use crate::kernels;
     use crate::measure::Measured;
@@ -192,7 +192,7 @@ mod reloading {
     }
 
     fn report(arguments: &Arguments, changed: &[&str], old: &State, new: &State) {
-        let mut lines = vec![TimeComparison::whole(
+        let mut lines = vec![Row::whole(
             arguments.what().name(),
             "wall",
             old.measured.wall_ms().times(1e3),

@@ -98,8 +98,8 @@ impl SettingsSources {
     /// Refuses settings without effect, on the command line or in a file. A dump lists all settings, used or not, so it
     /// is not checked. The command line may switch off what another file switches on.
     pub fn refuse_unused(&self, settings: &Settings) -> Result<()> {
-        refuse(unused(&self.from_command_line, settings).first(), &self.from_command_line)?;
-        refuse_no_growth(&self.from_command_line, &settings.train)?;
+        refuse(unused(&self.from_args, settings).first(), &self.from_args)?;
+        refuse_no_growth(&self.from_args, &settings.train)?;
         let Some(path) = &self.file else { return Ok(()) };
         if file::is_dump(path)? {
             return Ok(());

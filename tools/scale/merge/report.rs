@@ -106,21 +106,10 @@ impl ReportSetup {
         options.frame = Some(division.frame());
         let gallery = session::open(&data, &options, &stop)?;
         file.check_cameras(&data.source_path, &gallery)?;
-        Ok(ReportSetup {
-            page: page.to_owned(),
-            gallery,
-            context: arguments.device.context()?,
-            settings,
-            stop,
-        })
+        Ok(Self { page: page.to_owned(), gallery, context: arguments.device.context()?, settings, stop })
     }
 
-    fn measured_scene(
-        &self,
-        path: &Path,
-        settings: &Settings,
-        arguments: &Arguments,
-    ) -> Result<MeasuredScene> {
+    fn scene(&self, path: &Path, settings: &Settings, arguments: &Arguments) -> Result<MeasuredScene> {
         let mut scene = splats::read(path, &arguments.device.host.reading(arguments.drop_invalid))?;
         scene.express_in(self.gallery.frame());
         let mut renderer = Renderer::new(&self.context)?;
@@ -133,10 +122,10 @@ impl ReportSetup {
     pub fn measure(self, arguments: &Arguments, file: &BlocksFile) -> Result<()> {
         let cells = file.division.cells()?;
         let seams = Seams::of(&cells, file.division.margin_in_world());
-        let mut scenes = vec![self.measured_scene(&arguments.out, &self.settings, arguments)?];
+        let mut scenes = vec![self.scene(&arguments.out, &self.settings, arguments)?];
         if let Some(path) = &arguments.against {
             let model = Model::locate(path, None)?;
-            scenes.push(self.measured_scene(&model.ply, &model.settings, arguments)?);
+            scenes.push(self.scene(&model.ply, &model.settings, arguments)?);
         }
         let (measured, shown) = self.errors(&mut scenes, &seams, arguments.quiet)?;
         let merged = &measured[0];

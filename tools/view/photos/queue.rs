@@ -16,7 +16,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A page, or any other client at an address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Requester {
+pub struct Client {
     pub peer: IpAddr,
     pub page: Option<u64>,
 }
@@ -29,13 +29,13 @@ struct State {
     free: u32,
     /// Largest share of one requester.
     max_share: u32,
-    requesters: BTreeMap<Requester, Requests>,
+    clients: BTreeMap<Client, Jobs>,
     turns: u64,
 }
 
 /// The requests of one requester, in their order.
 #[derive(Default)]
-struct Requests {
+struct Jobs {
     waiting: VecDeque<(u32, oneshot::Sender<Permit>)>,
     /// Its current share of the budget.
     held: u32,
@@ -46,14 +46,14 @@ struct Requests {
 /// A share of the budget, until it is dropped.
 pub struct Permit {
     queue: Queue,
-    requester: Requester,
+    client: Client,
     share: u32,
 }
 
 impl Queue {
     /// A queue with this budget. `max_share` is the largest share of one requester.
     pub fn new(budget: u32, max_share: u32) -> Queue {
-        Queue(Arc::new(Mutex::new(State { free: budget, max_share, requesters: BTreeMap::new(), turns: 0 })))
+        Queue(Arc::new(Mutex::new(State { free: budget, max_share, clients: BTreeMap::new(), turns: 0 })))
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -61,17 +61,17 @@ impl Queue {
     }
 
     /// Waits for a share of the budget, capped at `max_share`. None if there are too many requests.
-    pub async fn acquire(&self, requester: Requester, share: u32) -> Option<Permit> {
+    pub async fn acquire(&self, client: Client, share: u32) -> Option<Permit> {
         let permit = {
             let mut state = self.lock();
             state.remove_closed();
             let share = share.min(state.max_share);
-            let requests = state.requesters.entry(requester).or_default();
-            if requests.waiting.len() >= MAX_WAITING {
+            let jobs = state.clients.entry(client).or_default();
+            if jobs.waiting.len() >= MAX_WAITING {
                 return None;
             }
             let (grant, permit) = oneshot::channel();
-            requests.waiting.push_back((share, grant));
+            jobs.waiting.push_back((share, grant));
             permit
         };
         self.serve();
@@ -90,52 +90,43 @@ impl Queue {
     fn next(&self) -> Option<(oneshot::Sender<Permit>, Permit)> {
         let mut state = self.lock();
         state.remove_closed();
-        let State { free, max_share, requesters, turns } = &mut *state;
-        let ready = |requests: &Requests| {
-            requests
-                .waiting
-                .front()
-                .is_some_and(|(share, _)| requests.held.saturating_add(*share) <= *max_share)
+        let State { free, max_share, clients, turns } = &mut *state;
+        let ready = |jobs: &Jobs| {
+            jobs.waiting.front().is_some_and(|(share, _)| jobs.held.saturating_add(*share) <= *max_share)
         };
-        let next = requesters
-            .iter_mut()
-            .filter(|(_, requests)| ready(requests))
-            .min_by_key(|(_, requests)| requests.served);
-        let (requester, requests) = next?;
+        let next = clients.iter_mut().filter(|(_, jobs)| ready(jobs)).min_by_key(|(_, jobs)| jobs.served);
+        let (client, jobs) = next?;
         // Small requests must not overtake a large one for ever.
-        if requests.waiting.front()?.0 > *free {
+        if jobs.waiting.front()?.0 > *free {
             return None;
         }
-        let (share, grant) = requests.waiting.pop_front()?;
+        let (share, grant) = jobs.waiting.pop_front()?;
         *turns += 1;
         *free -= share;
-        (requests.held, requests.served) = (requests.held + share, *turns);
-        Some((grant, Permit { queue: self.clone(), requester: *requester, share }))
+        (jobs.held, jobs.served) = (jobs.held + share, *turns);
+        Some((grant, Permit { queue: self.clone(), client: *client, share }))
     }
 }
 
 impl State {
     /// Removes requests whose connection is closed.
     fn remove_closed(&mut self) {
-        for requests in self.requesters.values_mut() {
-            requests.waiting.retain(|(_, grant)| !grant.is_closed());
+        for jobs in self.clients.values_mut() {
+            jobs.waiting.retain(|(_, grant)| !grant.is_closed());
         }
     }
 
-    fn give_back(&mut self, requester: Requester, share: u32) {
+    fn give_back(&mut self, client: Client, share: u32) {
         self.free += share;
-        if let Some(requests) = self.requesters.get_mut(&requester) {
-            requests.held -= share;
+        if let Some(jobs) = self.clients.get_mut(&client) {
+            jobs.held -= share;
         }
-        let is_idle = |requests: &Requests| requests.held == 0 && requests.waiting.is_empty();
-        if self.requesters.len() > MAX_REMEMBERED {
-            let oldest = self
-                .requesters
-                .iter()
-                .filter(|(_, requests)| is_idle(requests))
-                .min_by_key(|(_, requests)| requests.served);
-            if let Some(requester) = oldest.map(|(requester, _)| *requester) {
-                self.requesters.remove(&requester);
+        let is_idle = |jobs: &Jobs| jobs.held == 0 && jobs.waiting.is_empty();
+        if self.clients.len() > MAX_REMEMBERED {
+            let oldest =
+                self.clients.iter().filter(|(_, jobs)| is_idle(jobs)).min_by_key(|(_, jobs)| jobs.served);
+            if let Some(client) = oldest.map(|(client, _)| *client) {
+                self.clients.remove(&client);
             }
         }
     }
@@ -143,7 +134,7 @@ impl State {
 
 impl Drop for Permit {
     fn drop(&mut self) {
-        self.queue.lock().give_back(self.requester, self.share);
+        self.queue.lock().give_back(self.client, self.share);
         self.queue.serve();
     }
 }
@@ -167,8 +158,8 @@ mod tests {
     impl Page {
         fn ask(&mut self, queue: &Queue, page: u64, share: u32) {
             let (queue, peer) = (queue.clone(), IpAddr::from([127, 0, 0, 1]));
-            let requester = Requester { peer, page: Some(page) };
-            self.waiting.push(Box::pin(async move { queue.acquire(requester, share).await }));
+            let client = Client { peer, page: Some(page) };
+            self.waiting.push(Box::pin(async move { queue.acquire(client, share).await }));
             self.look();
         }
 
@@ -226,6 +217,6 @@ mod tests {
         drop(gone);
         assert_eq!(queue.lock().free, 2);
         (0..1000).for_each(|page| Page::default().ask(&queue, page, 1));
-        assert!(queue.lock().requesters.len() <= MAX_REMEMBERED + 1 && queue.lock().free == 2);
+        assert!(queue.lock().clients.len() <= MAX_REMEMBERED + 1 && queue.lock().free == 2);
     }
 }

@@ -1,6 +1,6 @@
 //! Access control: requests with the token, and this server's own pages.
 
-use super::{ServerState, refusal};
+use super::{AppState, refusal};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::middleware::Next;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// Admits requests with the token. Without a token, admits only pages opened under a name of this machine or that of
 /// `--allow-origin`. This stops foreign sites that point their own name here.
-pub async fn guard(State(state): State<Arc<ServerState>>, request: Request, next: Next) -> Response {
+pub async fn guard(State(state): State<Arc<AppState>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let allowed = state.serve.allow_origin.as_deref();
     let allowed_host = allowed.and_then(|origin| Some(origin.split_once("://")?.1));
@@ -50,7 +50,7 @@ pub async fn guard(State(state): State<Arc<ServerState>>, request: Request, next
 }
 
 /// Refuses, and says how to admit a proxy: to the page, and once on stderr.
-fn foreign(state: &ServerState, headers: &HeaderMap, problem: &str) -> Response {
+fn foreign(state: &AppState, headers: &HeaderMap, problem: &str) -> Response {
     let [origin, host] =
         [header::ORIGIN, header::HOST].map(|name| header_text(headers, name).unwrap_or("none"));
     let [.., option, _] = state.serve.names();

@@ -2,7 +2,7 @@
 
 use super::access::query_value;
 use super::open_connections::OpenConnection;
-use super::{ServerState, busy, files, json_answer, refusal};
+use super::{AppState, busy, files, json_answer, refusal};
 use crate::cut::CutMessage;
 use crate::edits::GaussianSet;
 use crate::hub::CurrentScene;
@@ -43,7 +43,7 @@ struct Export {
 /// `/export/NAME.ply?min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N&part=selection&rotate=X,Y,Z&scale=X&translate=X,Y,Z`:
 /// all is optional, and the last three are those of `ashsplat convert`.
 pub async fn export(
-    State(state): State<Arc<ServerState>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     UrlPath(name): UrlPath<String>,
     uri: Uri,
@@ -65,7 +65,7 @@ pub async fn export(
 /// `/count?min_opacity=X&…`, same as for an export: counts the Gaussians that remain, `{"kept":N,"of":N,"losses":[]}`. With
 /// `format=spz`, `losses` says in words what that format cannot hold, and what the positions are relative to.
 pub async fn count(
-    State(state): State<Arc<ServerState>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     uri: Uri,
 ) -> response::Result<Response> {
@@ -79,7 +79,7 @@ pub async fn count(
 /// Works on the scene that an address wants, on a thread of its own. Returns the result and the permit, which lasts until the work is
 /// done, even if the page has gone; or the answer that refuses the page.
 async fn made<T: Send + 'static>(
-    state: &ServerState,
+    state: &AppState,
     connection: &OpenConnection,
     uri: &Uri,
     work: impl FnOnce(Export, CurrentScene) -> Result<T> + Send + 'static,
@@ -94,7 +94,7 @@ async fn made<T: Send + 'static>(
 
 /// Returns the current scene and its permit, held until it is dropped; or the answer that refuses the page.
 async fn scene_of(
-    state: &ServerState,
+    state: &AppState,
     connection: &OpenConnection,
     part: GaussianSet,
 ) -> response::Result<(CurrentScene, OwnedSemaphorePermit)> {

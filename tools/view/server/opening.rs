@@ -1,7 +1,7 @@
 //! Files that pages send, and paths that they name: see [`openings`].
 
 use super::access::query_value;
-use super::{ServerState, busy, json_answer, refusal};
+use super::{AppState, busy, json_answer, refusal};
 use crate::openings::{self, OpenRequest, Openings};
 use ashsplat_files::splats::Format;
 use axum::body::{Body, Bytes, to_bytes};
@@ -35,7 +35,7 @@ const LONGEST_NAME: usize = 200;
 
 /// `POST /upload/NAME.ply` with the file's bytes; `?add=1` opens it beside the scenes that are open.
 pub async fn upload(
-    State(state): State<Arc<ServerState>>,
+    State(state): State<Arc<AppState>>,
     UrlPath(name): UrlPath<String>,
     request: Request,
 ) -> Response {
@@ -52,7 +52,7 @@ pub async fn upload(
 
 /// On refusal, part of the body may be left unread.
 async fn take_in(
-    state: &ServerState,
+    state: &AppState,
     (name, add): (&str, bool),
     headers: &HeaderMap,
     body: &mut Body,
@@ -75,19 +75,12 @@ async fn take_in(
         let problem = format!("{name}: has {length} bytes; reading may take {max_bytes} (--max-host-memory)");
         return Err(refusal(StatusCode::PAYLOAD_TOO_LARGE, &problem));
     }
-    let permit = openings.permit().ok_or_else(occupied)?;
+    let permit = Some(openings.permit().ok_or_else(occupied)?);
     let folder = tempfile::tempdir().map_err(no_room)?;
     let path = folder.path().join(plain(name, format));
     receive(body, &path, length).await?;
     let name = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
-    openings.submit(OpenRequest {
-        path,
-        name,
-        add,
-        within: None,
-        upload: Some(folder),
-        permit: Some(permit),
-    });
+    openings.submit(OpenRequest { path, name, add, within: None, upload: Some(folder), permit });
     Ok(())
 }
 
@@ -99,7 +92,7 @@ fn plain(name: &str, format: Format) -> String {
 }
 
 /// `POST /open` with `{"path": "…"}`.
-pub async fn open(State(state): State<Arc<ServerState>>, request: Request) -> Result<StatusCode, Response> {
+pub async fn open(State(state): State<Arc<AppState>>, request: Request) -> Result<StatusCode, Response> {
     let (openings, name) = named(&state, request).await?;
     let name = name.trim();
     let found = openings.find(name);
@@ -112,7 +105,7 @@ pub async fn open(State(state): State<Arc<ServerState>>, request: Request) -> Re
 }
 
 /// The path that a request has, and the bounds of what pages may open.
-async fn named(state: &ServerState, request: Request) -> Result<(&Arc<Openings>, String), Response> {
+async fn named(state: &AppState, request: Request) -> Result<(&Arc<Openings>, String), Response> {
     let openings = state.openings.as_ref().ok_or_else(not_here)?;
     if !is_kind(request.headers(), "application/json") {
         return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
@@ -126,7 +119,7 @@ async fn named(state: &ServerState, request: Request) -> Result<(&Arc<Openings>,
 }
 
 /// `POST /paths` with `{"path": "…"}`: answers with the paths that start with it, `{"paths": ["…"], "more": false}`.
-pub async fn paths(State(state): State<Arc<ServerState>>, request: Request) -> Result<Response, Response> {
+pub async fn paths(State(state): State<Arc<AppState>>, request: Request) -> Result<Response, Response> {
     let (openings, begin) = named(&state, request).await?;
     let openings = openings.clone();
     let failed = || StatusCode::INTERNAL_SERVER_ERROR.into_response();

@@ -2,7 +2,7 @@
 //! and takes no memory or time from the others.
 
 use super::open_connections::OpenConnection;
-use super::{ServerState, refusal};
+use super::{AppState, refusal};
 use crate::hub::Hub;
 use crate::pace::Pace;
 use crate::protocol::{FromPage, ToPage};
@@ -30,7 +30,7 @@ const TOO_MANY: &str = "too many pages look on already";
 
 /// Opens a page's WebSocket.
 pub async fn socket(
-    State(state): State<Arc<ServerState>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
@@ -45,7 +45,7 @@ pub async fn socket(
 }
 
 /// Says why a page's WebSocket does not open: browsers hide the handshake's answer from the page.
-pub async fn explain(State(state): State<Arc<ServerState>>) -> Response {
+pub async fn explain(State(state): State<Arc<AppState>>) -> Response {
     if !state.hub.accepts_pages() {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, TOO_MANY);
     }

@@ -10,7 +10,7 @@ use std::net::TcpStream;
 use std::path::Path;
 use tungstenite::{Message, WebSocket};
 
-fn any_port() -> OpenPort {
+fn any_port() -> Port {
     let arguments = LiveArguments {
         view: Some(0),
         view_host: "127.0.0.1".into(),
@@ -26,7 +26,7 @@ fn looked_at(context: &Context, model: &Path) -> Run {
     let mut settings = Settings::reference();
     settings.data.model_path = model.to_owned();
     let mut run = Run::prepare(context, dataset(1.0), settings, true).expect("a run");
-    run.start_viewers(Some(any_port()), context, None).expect("a viewer");
+    run.serve(Some(any_port()), context, None).expect("a viewer");
     run
 }
 
