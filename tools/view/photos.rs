@@ -110,7 +110,7 @@ impl Photos {
         self.gallery.held_out().get(index).is_some_and(|held_out| *held_out)
     }
 
-    /// Returns a photo once the requester has a permit.
+    /// Returns a photo once the client has a permit.
     pub async fn jpeg(
         self: &Arc<Photos>,
         index: usize,

@@ -1,4 +1,4 @@
-//! Shares of a budget. A requester with many requests delays mostly itself: others wait only for work already under way.
+//! Shares of a budget. A client with many requests delays mostly itself: others wait only for work already under way.
 
 use ashsplat_program::session::locked;
 use std::collections::{BTreeMap, VecDeque};
@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// Most waiting requests of one requester; more are refused.
+/// Most waiting requests of one client; more are refused.
 const MAX_WAITING: usize = 24;
-/// Idle requesters that are remembered.
+/// Idle clients that are remembered.
 const MAX_REMEMBERED: usize = 64;
 /// Longest wait of a request.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -21,19 +21,19 @@ pub struct Client {
     pub page: Option<u64>,
 }
 
-/// A budget and its waiting requesters.
+/// A budget and its waiting clients.
 #[derive(Clone)]
 pub struct Queue(Arc<Mutex<State>>);
 
 struct State {
     free: u32,
-    /// Largest share of one requester.
+    /// Largest share of one client.
     max_share: u32,
     clients: BTreeMap<Client, Jobs>,
     turns: u64,
 }
 
-/// The requests of one requester, in their order.
+/// The requests of one client, in their order.
 #[derive(Default)]
 struct Jobs {
     waiting: VecDeque<(u32, oneshot::Sender<Permit>)>,
@@ -51,7 +51,7 @@ pub struct Permit {
 }
 
 impl Queue {
-    /// A queue with this budget. `max_share` is the largest share of one requester.
+    /// A queue with this budget. `max_share` is the largest share of one client.
     pub fn new(budget: u32, max_share: u32) -> Queue {
         Queue(Arc::new(Mutex::new(State { free: budget, max_share, clients: BTreeMap::new(), turns: 0 })))
     }
@@ -78,7 +78,7 @@ impl Queue {
         tokio::time::timeout(PATIENCE, permit).await.ok()?.ok()
     }
 
-    /// Gives the free budget to waiting requesters.
+    /// Gives the free budget to waiting clients.
     fn serve(&self) {
         loop {
             let Some((grant, permit)) = self.next() else { return };
