@@ -107,14 +107,14 @@ fn backends_fit_into_the_workgroups_that_are_asked_of_devices() {
     for tuning in [&Tuning::PROCESSOR, &Tuning::GPU, &Tuning::INTEL, &Tuning::AMD, &Tuning::NVIDIA] {
         for lanes in [4, 8, 16, 32, 64, 128] {
             let mut limits = Gpu::new().context.limits().clone();
-            let least = Requirements::workgroup_invocations(lanes);
+            let min = Requirements::workgroup_invocations(lanes);
             limits.tuning = tuning;
-            limits.max_workgroup_invocations = least;
-            limits.shared_memory_bytes = Requirements::LEAST_SHARED_MEMORY;
+            limits.max_workgroup_invocations = min;
+            limits.shared_memory_bytes = Requirements::MIN_SHARED_MEMORY;
             [limits.subgroup_size, limits.heavy_subgroup_size] = [lanes; 2];
             let sizes = LaunchSizes::new(&limits);
             let tiles = [sizes.blend, sizes.blend_heavy].map(|shape| shape.tile);
-            assert!(tiles.iter().all(|tile| *tile <= least), "{:?}, {lanes}: {tiles:?}", tuning.backend);
+            assert!(tiles.iter().all(|tile| *tile <= min), "{:?}, {lanes}: {tiles:?}", tuning.backend);
             let sort = sort_downsweep::Spec {
                 workgroup_size: sizes.sort_workgroup,
                 subgroup_size: lanes,

@@ -153,9 +153,9 @@ fn bench_measures_files_and_refuses_bad_ones() {
     refuse(&["bench", "render", "--scene", text(&ply), "--camera", &place], &["cameras.json"]);
     refuse(&["bench", "render", "--scene", "missing.ply"], &["missing.ply"]);
     refuse(&["bench", "render", "--gaussians", "0"], &["no Gaussians"]);
-    let most = u32::MAX.to_string();
-    refuse(&["bench", "render", "--gaussians", &most], &["--gaussians", "67108864"]);
-    refuse(&["bench", "all", "--frames", &format!("{most}@9x9")], &["--frames", "67108864"]);
+    let max = u32::MAX.to_string();
+    refuse(&["bench", "render", "--gaussians", &max], &["--gaussians", "67108864"]);
+    refuse(&["bench", "all", "--frames", &format!("{max}@9x9")], &["--frames", "67108864"]);
     // The seed disturbs the scene that is trained on its own picture.
     let hash = |seed: &str| {
         let json = folder.path().join("step.json");

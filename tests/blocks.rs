@@ -130,10 +130,10 @@ fn what_no_view_sees_can_be_left_out() {
     let cameras: Vec<Camera> = views(3, 9).iter().map(|view| view.camera).collect();
     for (warm_up, kernel_size) in [(0, 0.3), (8, 3.0)] {
         let settings = TrainSettings { warm_up, kernel_size, ..settings() };
-        let left = block.clone().without_unseen(&cameras, &settings);
+        let left = block.clone().without_invisible(&cameras, &settings);
         let [all, seen] = [&block, &left].map(|block| block.frozen.len());
         assert!(2 * seen <= all && seen > 20, "{seen} of {all}");
-        assert_eq!(left.clone().without_unseen(&cameras, &settings), left);
+        assert_eq!(left.clone().without_invisible(&cameras, &settings), left);
         let [(_, whole), (middle, less)] = [&block, &left].map(|block| {
             let mut trainer = trainer(context(), &initial, Some(block), &settings);
             trainer.steps(15);
@@ -148,8 +148,8 @@ fn what_no_view_sees_can_be_left_out() {
         assert!(same(&end(&mut second), &whole), "warm-up {warm_up}: other bits");
     }
     let filtered = TrainSettings { filter_3d: true, ..settings() };
-    assert!(block.clone().without_unseen(&cameras, &filtered) == block);
-    let nobody = block.without_unseen(&[], &settings());
+    assert!(block.clone().without_invisible(&cameras, &filtered) == block);
+    let nobody = block.without_invisible(&[], &settings());
     let poses = TrainSettings { pose_opt: true, ..settings() };
     let refused = with_run(context(), &initial, Some(&nobody), &poses, |run| refusal(run.try_begin()));
     assert_says(&refused, &["pose_opt"]);

@@ -110,8 +110,8 @@ fn budget_resumes_to_the_bit() {
 fn not_of_the_faintest_fifth(all: &Gaussians) -> usize {
     let opacity = |&logit: &f32| sigmoid(logit.into());
     let opacities: Vec<f64> = all.opacity_logits.iter().map(opacity).collect();
-    let least = quantile(&opacities, 0.2);
-    opacities.iter().filter(|&&opacity| opacity >= least).count()
+    let min_opacity = quantile(&opacities, 0.2);
+    opacities.iter().filter(|&&opacity| opacity >= min_opacity).count()
 }
 
 /// With `recovery`, resets are milder, and Gaussians that stay faint are pruned.
@@ -126,7 +126,7 @@ fn budget_prunes_what_does_not_recover() {
         recovery,
         ..settings()
     };
-    let most = |g: &Gaussians| g.opacity_logits.iter().copied().fold(f32::MIN, f32::max);
+    let max_logit = |g: &Gaussians| g.opacity_logits.iter().copied().fold(f32::MIN, f32::max);
     for (recovery, opacity) in [(true, 0.05), (false, RESET_OPACITY)] {
         let mut trainer = trainer(&settings(recovery));
         let mut counts = vec![];
@@ -138,7 +138,7 @@ fn budget_prunes_what_does_not_recover() {
             let before = due.then(|| trainer.trained());
             let report = trainer.step().expect("a step");
             if iteration == 131 {
-                let now = most(&trainer.trained());
+                let now = max_logit(&trainer.trained());
                 let reset = (opacity / (1.0 - opacity)).ln() as f32;
                 assert!((now - reset).abs() < 0.2, "{now}, {reset}");
             }

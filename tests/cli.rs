@@ -1,5 +1,6 @@
 //! The program `ashsplat`, run as users run it.
 
+mod appearance;
 mod bad_input;
 mod blocks;
 mod checkpoints;
@@ -9,7 +10,6 @@ mod data_sets;
 mod exchange;
 mod filters;
 mod inspect;
-mod light;
 mod lpips;
 mod merge;
 mod mesh;
@@ -31,7 +31,7 @@ use ashsplat_files::colmap::{ColmapCamera, ColmapImage};
 use ashsplat_files::splats::{ReadOptions, WriteOptions};
 use ashsplat_files::{CheckpointFile, Photo, PhotoFileFormat, colmap, splats};
 use glam::{Vec3, vec3};
-pub(crate) use place::{Place, point_cloud, wait_until};
+pub(crate) use place::{TestFolder, point_cloud, wait_until};
 pub(crate) use run::{Finished, assert_refused, finish, program, text};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};

@@ -117,9 +117,9 @@ fn compiled_kernels_fit_into_registers() {
     }
     for (key, (subgroups, latency)) in &made {
         let row = table.get(key);
-        let (least, most) = row.unwrap_or_else(|| panic!("{key:?} is not in the table; {BLESS}"));
+        let (min, max) = row.unwrap_or_else(|| panic!("{key:?} is not in the table; {BLESS}"));
         let made = format!("{subgroups} subgroups, {latency} cycles");
-        assert!(subgroups >= least && *latency <= 1.1 * most, "{key:?}: {made}; the table has {row:?}");
+        assert!(subgroups >= min && *latency <= 1.1 * max, "{key:?}: {made}; the table has {row:?}");
     }
     // A family that this driver does not know has no rows.
     let gone = table.keys().find(|key| of_driver(key) && !made.iter().any(|(ours, _)| ours == *key));

@@ -118,9 +118,9 @@ fn compare(name: &str, ours: &Photo, theirs: &Photo) -> f64 {
 }
 
 /// Same as [`compare`], but an error if the PSNR is too low.
-fn compare_at_least(least: f64, name: &str, ours: &Photo, theirs: &Photo) -> Result<(), String> {
+fn compare_at_least(min_psnr: f64, name: &str, ours: &Photo, theirs: &Photo) -> Result<(), String> {
     let psnr = compare(name, ours, theirs);
-    if psnr >= least { Ok(()) } else { Err(format!("{psnr:.2} dB: see {}", kept(name).display())) }
+    if psnr >= min_psnr { Ok(()) } else { Err(format!("{psnr:.2} dB: see {}", kept(name).display())) }
 }
 
 /// Checks a picture that a page draws. The page's workers sort, and on a busy machine they may need more frames than

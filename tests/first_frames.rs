@@ -1,7 +1,7 @@
 //! First frames start from an estimate of their instances, and are complete.
 
 use crate::common::prelude::*;
-use ashsplat::frame::{LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, initial_instances, initial_visible};
+use ashsplat::frame::{MIN_INSTANCES, MIN_VISIBLE, PictureCapacity, initial_instances, initial_visible};
 
 const SIZE: [u32; 2] = [200, 120];
 
@@ -51,10 +51,10 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     assert!(frame.color == expected.color);
     // If even the least is too much, the error says so.
     drop(tight);
-    let least = bounded(Some(1 << 20));
-    let error = render(&least, &scene, None).expect_err("refused");
+    let smallest = bounded(Some(1 << 20));
+    let error = render(&smallest, &scene, None).expect_err("refused");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
-    assert!(LEAST_INSTANCES < estimate);
+    assert!(MIN_INSTANCES < estimate);
 }
 
 /// Same for visible Gaussians: the camera sees a tenth of a scene, and the estimate is a quarter.
@@ -85,7 +85,7 @@ fn a_first_frame_that_shows_less_than_estimated_is_not_refused() {
 fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
     let (context, scene) = (bounded(None), scene(20_000, -1.0));
     let estimate = initial_visible(20_000);
-    assert_eq!((estimate, initial_visible(LEAST_VISIBLE), initial_visible(7)), (5000, LEAST_VISIBLE, 7));
+    assert_eq!((estimate, initial_visible(MIN_VISIBLE), initial_visible(7)), (5000, MIN_VISIBLE, 7));
     let frame_bytes = || context.memory().iter().find(|arena| arena.name == "frame").map(|arena| arena.bytes);
     let mut renderer = loaded(&context, &scene);
     let all = camera(&small_view(SIZE));

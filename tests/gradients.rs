@@ -129,7 +129,7 @@ fn gradients_of_the_twin_agree_with_finite_differences() {
 
 /// The picture with Gaussians in the order of distances, and its gradients.
 fn distance_ordered(view: View) -> View {
-    View { drawn: Drawn { distance_order: true, ..view.drawn }, ..view }
+    View { drawn: Style { distance_order: true, ..view.drawn }, ..view }
 }
 
 #[test]
@@ -236,7 +236,7 @@ fn compare<T: PartialEq>(
     gradients: &[Gradient],
     term: impl Fn(&[Gaussian]) -> (f64, T),
 ) -> usize {
-    let largest = gradients.iter().flat_map(gradient_scalars).fold(0.0, |most: f64, x| most.max(x.abs()));
+    let largest = gradients.iter().flat_map(gradient_scalars).fold(0.0, |max: f64, x| max.max(x.abs()));
     compare_scene("a term", scene, gradients, (STEP, &|_| 2e-6 * largest), term)
 }
 
@@ -407,7 +407,7 @@ fn gradients_under_dropout_agree_with_finite_differences() {
             let dropout = Dropout { below: 6 << 20, seed: 7, iteration: seed as u32 };
             let left_out = (0..6).filter(|&gaussian| dropout.drops(gaussian)).count();
             assert!((1..6).contains(&left_out), "of six, {left_out} are left out");
-            let drawn = Drawn { dropout: Some(dropout), ..Drawn::AS_THEY_ARE };
+            let drawn = Style { dropout: Some(dropout), ..Style::AS_THEY_ARE };
             compared += compare_frame(&View { drawn, antialias, ..small_view([24, 16]) }, seed);
         }
         assert!(compared > 400, "only {compared} derivatives could be compared");

@@ -154,8 +154,8 @@ fn limits_of_instances_stop_growth_and_lose_nothing() {
     };
     // Twice as many would not fit.
     let reports = run(&context, 450).begin().steps(6);
-    let most = reports.iter().map(|r| r.instances).max();
-    assert!(most > Some(2000) && most <= Some(3840), "{most:?}");
+    let max = reports.iter().map(|r| r.instances).max();
+    assert!(max > Some(2000) && max <= Some(3840), "{max:?}");
     assert!(reports.iter().any(|r| r.densified.is_some_and(|d| d.limited)));
     // Too many from the start: an error with the numbers, and a checkpoint that resumes on a larger device.
     let mut trainer = run(&context, 900).begin();
@@ -357,15 +357,15 @@ fn memory_budget_is_trainings_whoever_looks_on() {
         let end = trainer.state();
         drop(trainer);
         assert_silent(&context);
-        let most = context.memory_total().peak_bytes;
-        (end, limited, [most, planned_peak(&context)], seen)
+        let max = context.memory_total().peak_bytes;
+        (end, limited, [max, planned_peak(&context)], seen)
     };
     let (free, none, [_, peak], _) = train(None, false);
     assert_eq!(none, 0);
     let bytes = Some(peak * 55 / 100);
     let (alone, limited, _, _) = train(bytes, false);
     assert!(limited > 0 && alone.gaussians.len() < free.gaussians.len(), "{limited}");
-    let (looked_at, also_limited, [most, _], seen) = train(bytes, true);
+    let (looked_at, also_limited, [max, _], seen) = train(bytes, true);
     assert!(looked_at == alone && also_limited == limited, "looking on changes what is grown");
-    assert!(Some(most) <= bytes && seen == 10, "{most} bytes, {seen} pictures");
+    assert!(Some(max) <= bytes && seen == 10, "{max} bytes, {seen} pictures");
 }

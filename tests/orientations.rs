@@ -164,13 +164,13 @@ fn orientations_of_earlier_frames_are_given_up_for_want_of_memory() {
     let peak = |renderer: &Renderer| renderer.context().memory_total().peak_bytes;
     let mut alone = fresh(None);
     let picture = alone.render(&large, &settings).expect("a frame");
-    let most = peak(&alone);
+    let limit = peak(&alone);
     let mut alone = fresh(None);
     let gradients = alone.gradients(&small, &settings, &image_gradient, None).expect("gradients");
-    assert!(peak(&alone) < most, "less than the picture needs");
+    assert!(peak(&alone) < limit, "less than the picture needs");
     // Buffers for sums of gradients are not freed.
-    let most = most + (512 << 10);
-    let mut bounded = fresh(Some(most));
+    let limit = limit + (512 << 10);
+    let mut bounded = fresh(Some(limit));
     for _ in 0..2 {
         // Each is larger than the other in one way: both together do not fit.
         assert!(bounded.render(&large, &settings).expect("a frame").color == picture.color);

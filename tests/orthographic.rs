@@ -39,7 +39,7 @@ fn orthographic_pictures_equal_the_twins() {
     let _gpu = Gpu::new();
     for (seed, antialias, sh_degree) in [(1, false, 3), (2, true, 1), (3, false, 0)] {
         let scene = small_scene(&mut Random::new(seed), 120, 16);
-        let drawn = Drawn { orthographic: true, ..Drawn::AS_THEY_ARE };
+        let drawn = Style { orthographic: true, ..Style::AS_THEY_ARE };
         let center_px = [30.0, 17.0];
         let view =
             View { drawn, antialias, sh_degree, center_px, focal_px: [14.0, 15.5], ..small_view([53, 37]) };

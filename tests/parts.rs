@@ -10,7 +10,7 @@ use ashsplat::passes::densify::{
 use ashsplat::passes::loss::{LossTerm, TermData, TermInputs};
 use ashsplat::passes::pixels::LayoutConverter;
 use ashsplat::scene::StoredPhoto;
-use ashsplat::train::strategy::{Changes, StepInputs, Work};
+use ashsplat::train::strategy::{Changes, StepInputs, StepWork};
 use ashsplat::train::{Actions, Densified, Population, Regularizers, Strategy, TrainParts};
 use ashsplat::vk::{Buffer, Recorder};
 use std::sync::{Arc, Mutex};
@@ -36,8 +36,8 @@ impl Strategy for RandomPrune {
         "random_prune"
     }
 
-    fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
-        Work { accumulates: true, ..optimizing(PRUNE.when(iteration.is_multiple_of(4))) }
+    fn work(&self, _: &TrainSettings, iteration: u32) -> StepWork {
+        StepWork { accumulates: true, ..optimizing(PRUNE.when(iteration.is_multiple_of(4))) }
     }
 
     fn record_update(&self, _: &mut Recorder, step: &StepInputs) {
@@ -80,8 +80,8 @@ fn parts_of(strategy: impl Strategy + 'static) -> TrainParts {
 }
 
 /// Work of a step that optimises everything, followed by these actions.
-fn optimizing(actions: Actions) -> Work {
-    Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions }
+fn optimizing(actions: Actions) -> StepWork {
+    StepWork { accumulates: false, optimizes: true, optimizes_opacity: true, actions }
 }
 
 #[test]
@@ -131,7 +131,7 @@ impl<F: FnMut(&mut Population) -> Result<()> + Send> Strategy for Between<F> {
         "between"
     }
 
-    fn work(&self, _: &TrainSettings, _: u32) -> Work {
+    fn work(&self, _: &TrainSettings, _: u32) -> StepWork {
         optimizing(Actions::DENSIFY)
     }
 
@@ -383,9 +383,9 @@ impl Strategy for Watching {
         "watching"
     }
 
-    fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
+    fn work(&self, _: &TrainSettings, iteration: u32) -> StepWork {
         let actions = Actions::DENSIFY.when(iteration.is_multiple_of(self.every));
-        Work { accumulates: iteration % 7 != 3, ..optimizing(actions) }
+        StepWork { accumulates: iteration % 7 != 3, ..optimizing(actions) }
     }
 
     fn absolute_gradients(&self) -> bool {
@@ -459,8 +459,8 @@ fn absolute_gradients_leave_the_training_as_it_is() {
     assert!(pairs().all(|([signed, views], [absolute, seen])| *absolute >= signed * 0.9999 && views == seen));
     assert!(pairs().filter(|([signed, _], [absolute, _])| *absolute > 1.5 * signed).count() > 20);
     // Same number of views: three of the iterations do not count.
-    let most = with.statistics.iter().fold(0.0_f32, |most, statistic| most.max(statistic[1]));
-    assert_eq!(most, (settings().iterations - 3) as f32);
+    let max = with.statistics.iter().fold(0.0_f32, |max, statistic| max.max(statistic[1]));
+    assert_eq!(max, (settings().iterations - 3) as f32);
 }
 
 #[test]

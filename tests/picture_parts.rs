@@ -44,7 +44,7 @@ fn a_part_has_the_pixels_of_the_whole() {
         assert!(farthest(&frame.color, &expected) < 2e-5, "{corner:?} {size:?}");
         let [ours, theirs] = [&frame, &whole].map(|frame| frame.inverse_depth.as_ref().expect("depths"));
         let depths = ours.iter().zip(cut(theirs, whole.width, corner, size));
-        assert!(depths.fold(0.0, |most: f32, (a, b)| most.max((a - b).abs())) < 2e-5);
+        assert!(depths.fold(0.0, |max: f32, (a, b)| max.max((a - b).abs())) < 2e-5);
         let alone = renderer.render(&Camera { part: None, ..part }, &settings).expect("a frame");
         differs = differs.max(farthest(&alone.color, &expected));
     }
@@ -69,7 +69,7 @@ fn gradients_of_parts_add_up_to_those_of_the_whole() {
             *sum = [0, 1, 2].map(|axis| sum[axis] + own[axis]);
         }
     }
-    let size = whole.parameters.means.as_flattened().iter().fold(0.0, |most: f32, g| most.max(g.abs()));
+    let size = whole.parameters.means.as_flattened().iter().fold(0.0, |max: f32, g| max.max(g.abs()));
     assert!(size > 1.0);
     assert!(farthest(&sums, &whole.parameters.means) < 1e-4 * size);
 }

@@ -33,7 +33,7 @@ fn compare_with_differences(view: &View, seed: u64) -> usize {
     let scene = small_scene(&mut random, 6, 16);
     let weights = random_weights(&mut random, view);
     let pose = backward(&scene, view, &render(&scene, view), &weights).pose;
-    let largest = pose.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+    let largest = pose.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
     let bound = |derivative: f64| 1e-6 * largest + 2e-6 * derivative.abs();
     gradients::compare_with_differences(&format!("seed {seed}"), &pose, 1e-6, bound, |axis, by| {
         let view = moved_view(view, along(axis, by));
@@ -70,7 +70,7 @@ fn compare_with_device(renderer: &mut Renderer, view: &View, (count, seed): (usi
     let first = gradients();
     assert!(first == gradients(), "other bits");
     let actual = first.pose.expect("a gradient of the pose").map(f64::from);
-    let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+    let largest = expected.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
     elementwise("pose", &actual, &expected, 1e-4 * largest, 0.0).expect("the pose's gradient");
     // All other gradients equal those without it.
     let plain = renderer.gradients(&camera, &settings, &color, Some(&inverse_depth)).expect("gradients");
@@ -146,7 +146,7 @@ fn poses_agree_with_differences_of_pictures() {
         .collect();
     let gradients = renderer.gradients_with_pose(&camera(&view), &settings, &weights, None);
     let pose = gradients.expect("gradients").pose.expect("a pose").map(f64::from);
-    let largest = pose.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+    let largest = pose.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
     let step = 2e-3;
     for (axis, derivative) in pose.into_iter().enumerate() {
         let mut at = |by| loss(&mut renderer, &moved_view(&view, along(axis, by)), &settings, &weights);
@@ -204,7 +204,7 @@ fn perturbed() -> Vec<Camera> {
 
 /// Largest differences between two lists of cameras: degrees, and shares of the extent.
 fn apart(cameras: &[Camera], others: &[Camera]) -> (f64, f64) {
-    let mut most = (0.0_f64, 0.0_f64);
+    let mut max = (0.0_f64, 0.0_f64);
     for (camera, other) in cameras.iter().zip(others) {
         let turn = camera.camera_from_world.as_dmat3() * other.camera_from_world.as_dmat3().transpose();
         let axis = DVec3::new(
@@ -214,9 +214,9 @@ fn apart(cameras: &[Camera], others: &[Camera]) -> (f64, f64) {
         );
         let angle = (0.5 * axis.length()).asin().to_degrees();
         let distance = camera.exact_position().distance(other.exact_position()) / f64::from(extent());
-        most = (most.0.max(angle), most.1.max(distance));
+        max = (max.0.max(angle), max.1.max(distance));
     }
-    most
+    max
 }
 
 fn views(cameras: &[Camera]) -> Vec<TrainView> {

@@ -103,7 +103,7 @@ fn splats_stored_in_any_format_look_alike() {
         splats::write(&path, &original, &WriteOptions::default()).expect("written");
         let read = splats::read(&path, &Default::default()).expect("read").gaussians;
         let psnr = psnr(&render(&original, &camera()), &render(&read, &camera()));
-        let least = match format {
+        let min_psnr = match format {
             Format::Ply => f64::INFINITY,
             Format::Glb | Format::Gltf | Format::Usda => 90.0,
             Format::CompressedPly | Format::Splat => 38.0,
@@ -111,6 +111,6 @@ fn splats_stored_in_any_format_look_alike() {
             Format::Sog => 36.0,
             Format::Ksplat => unreachable!("it is not written"),
         };
-        assert!(psnr >= least, "{format}: {psnr:.1} dB");
+        assert!(psnr >= min_psnr, "{format}: {psnr:.1} dB");
     }
 }

@@ -22,7 +22,7 @@ fn surfaces_of_frames_equal_the_twins() {
         // A disk of 2DGS, and a quaternion of zeros.
         scene[0].log_scale = [-1.0, -1.5, f64::from(f32::MIN)];
         scene[1].quat = [0.0; 4];
-        let drawn = Drawn { orthographic, ..Drawn::AS_THEY_ARE };
+        let drawn = Style { orthographic, ..Style::AS_THEY_ARE };
         let focal_px = if orthographic { [14.0, 15.5] } else { [53.0, 56.0] };
         let view = View { drawn, focal_px, ..small_view([53, 37]) };
         let expected = pipeline::render(&scene, &view);

@@ -10,7 +10,7 @@ mod shapes;
 mod training;
 mod trees;
 #[allow(dead_code)]
-use crate::cli::{Place, point_cloud, text, wait_until, write_dataset};
+use crate::cli::{TestFolder, point_cloud, text, wait_until, write_dataset};
 use crate::common::engine::renderer;
 pub use crate::program::page::*;
 use ashsplat::scene::{Camera, WorldFrame};
@@ -25,8 +25,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// A viewer of a ball, and its folder.
-fn view_ball(count: usize, more: &[&str]) -> (Place, Server) {
-    let place = Place::empty();
+fn view_ball(count: usize, more: &[&str]) -> (TestFolder, Server) {
+    let place = TestFolder::empty();
     let server = Server::view(&write_ball(&place.at(""), count), more);
     (place, server)
 }

@@ -55,9 +55,9 @@ fn every_view_is_trained_within_the_memory_that_is_asked_for() {
         assert!((1..initial_visible(COUNT)).contains(&few) && all > COUNT / 4 * 3, "{few} {all}");
         trainer.state().fingerprint()
     };
-    let least = needed(&settings);
+    let min_memory = needed(&settings);
     for more in (0..14).step_by(2) {
-        let context = bounded(Some(least + more * MIB));
+        let context = bounded(Some(min_memory + more * MIB));
         let mut trainer = run(&context, settings.clone()).begin();
         assert!(trainer.steps(8).iter().all(|report| !report.skipped), "{more} MiB more");
         assert!(trainer.state().fingerprint() == expected, "{more} MiB more");
@@ -118,8 +118,8 @@ fn buffers_of_different_passes_share_memory() {
         let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
         let bytes = |lives: &[Life]| pack(&sizes, lives, u64::MAX).expect("one block").blocks[0];
         let (shared, apart) = (bytes(FrameBuffers::LIVES), bytes(&[]));
-        let most = if backward { 0.8 } else { 0.68 };
-        assert!((shared as f64) < most * apart as f64, "{shared} of {apart}, {capacity:?}");
+        let max = if backward { 0.8 } else { 0.68 };
+        assert!((shared as f64) < max * apart as f64, "{shared} of {apart}, {capacity:?}");
     }
 }
 
@@ -229,8 +229,8 @@ fn a_view_that_shows_too_much_stops_growth() {
     assert!(free.iter().all(|report| !report.skipped) && free[5].gaussians > COUNT, "{free:?}");
     let all = free.iter().find(|report| report.view == 1).expect("the view");
     // Enough for the estimate, which exceeds the number of instances.
-    let least = needed(&grows);
-    let mut tight = (1..16).map(|less| train(Some(least - less * MIB / 2)));
+    let min_memory = needed(&grows);
+    let mut tight = (1..16).map(|less| train(Some(min_memory - less * MIB / 2)));
     let tight = tight.find(|reports| reports.iter().any(|report| report.skipped)).expect("a bound");
     for report in &tight {
         assert_eq!((report.skipped, report.gaussians), (report.view == 1, COUNT), "{report:?}");
@@ -264,13 +264,13 @@ fn what_is_expected_after_an_exchange_is_no_reason_to_refuse() {
         (trainer.state().fingerprint(), skipped)
     };
     let (expected, _) = resumed(None);
-    let least = needed(&settings);
-    for bound in [0, 1, 2, 3, 5, 8, 13].map(|more| least + more * MIB) {
+    let min_memory = needed(&settings);
+    for bound in [0, 1, 2, 3, 5, 8, 13].map(|more| min_memory + more * MIB) {
         assert_eq!(resumed(Some(bound)), (expected, false), "{bound}");
     }
     // With less memory than requested, the result is that without the expectation.
     let unknown = Checkpoint { capacities: Capacities::default(), ..from.clone() };
-    for bound in (1..12).map(|less| least - less * MIB) {
+    for bound in (1..12).map(|less| min_memory - less * MIB) {
         let resumes = |from| run(&bounded(Some(bound)), settings.clone()).try_resume(from).is_ok();
         let [with, without] = [&from, &unknown].map(resumes);
         assert_eq!(with, without, "{bound}");

@@ -206,7 +206,7 @@ fn shows_what_render_draws() {
     let window = desk.window("model");
     let wait = |what: &str, is: &dyn Fn(&Photo) -> bool| wait_until(&desk, window, what, folder.path(), is);
     let equals = |photo: &Photo, shown: &Photo| {
-        difference(shown, photo).is_some_and(|(most, mean)| most <= 2 && mean < 0.05)
+        difference(shown, photo).is_some_and(|(max_gaussians, mean)| max_gaussians <= 2 && mean < 0.05)
     };
     let press = |key: u8, what: &str, photo: &Photo| {
         desk.key(key);
@@ -277,7 +277,7 @@ fn streams_a_tree() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let [scene, tree, out] = ["scene.ply", "tree", "out"].map(|name| folder.path().join(name));
     splats::write(&scene, &ball(), &WriteOptions::default()).expect("a PLY");
-    let options = TileOptions { most: 60, packed: false };
+    let options = TileOptions { max_gaussians: 60, packed: false };
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
     tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
         .expect("tiles");

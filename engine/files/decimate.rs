@@ -12,7 +12,7 @@ use ashsplat::scene::sh::C0;
 const NEIGHBOURS: usize = 8;
 /// Bytes per Gaussian that a round needs beside the Gaussians. Pairs are in memory three times while they are collected
 /// and sorted; the tree has 64 bytes per Gaussian.
-pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<Brief>() + 64) as u64;
+pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<Summary>() + 64) as u64;
 /// Largest share of the Gaussians that one round removes: later rounds see the merged ones.
 const SHARE_PER_ROUND: f64 = 0.2;
 /// Weight of a difference in colour (0 to 1) beside one of place, in units of the Gaussians' size.
@@ -60,7 +60,7 @@ struct Pair {
 }
 
 /// Properties of a Gaussian that the cost depends on.
-struct Brief {
+struct Summary {
     mean: DVec3,
     covariance: DMat3,
     opacity: f64,
@@ -71,7 +71,7 @@ struct Brief {
     color: DVec3,
 }
 
-struct Joined {
+struct MergedPair {
     mean: DVec3,
     covariance: DMat3,
     opacity: f64,
@@ -82,10 +82,10 @@ struct Joined {
 /// Axes of the pictures along the three coordinate directions.
 const PICTURES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
 
-fn brief(gaussians: &Gaussians, index: usize) -> Brief {
+fn summary(gaussians: &Gaussians, index: usize) -> Summary {
     let covariance = covariance_of(gaussians, index);
     let opacity = f64::from(gaussians.opacity(index));
-    Brief {
+    Summary {
         mean: DVec3::from_array(gaussians.means[index].map(f64::from)),
         covariance,
         opacity,
@@ -120,24 +120,24 @@ fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 
-fn joined(a: &Brief, b: &Brief) -> Joined {
+fn merged_pair(a: &Summary, b: &Summary) -> MergedPair {
     let mass = a.mass + b.mass;
     let share = if mass > 0.0 { [a.mass / mass, b.mass / mass] } else { [0.5; 2] };
     let mean = share[0] * a.mean + share[1] * b.mean;
-    let spread = |own: &Brief| own.covariance + outer(own.mean - mean);
+    let spread = |own: &Summary| own.covariance + outer(own.mean - mean);
     let covariance = share[0] * spread(a) + share[1] * spread(b);
     let opacity = mass / area(&covariance);
     let growth = (opacity / MAX_OPACITY).clamp(1.0, MAX_GROWTH);
     let (covariance, opacity) = (covariance * growth, (opacity / growth).clamp(1e-6, MAX_OPACITY));
-    Joined { mean, covariance, opacity, share }
+    MergedPair { mean, covariance, opacity, share }
 }
 
 /// The squared difference between the pictures of two Gaussians and the picture of the merged one, over 2π. It is
 /// integrated over the picture and summed over three directions of view, in closed form. Each Gaussian adds its opacity
 /// times its colour, without occlusion.
-fn picture_difference(a: &Brief, b: &Brief) -> f64 {
-    let one = joined(a, b);
-    let of = |own: &Brief| own.color.extend(OPACITY_WEIGHT) * own.opacity;
+fn picture_difference(a: &Summary, b: &Summary) -> f64 {
+    let one = merged_pair(a, b);
+    let of = |own: &Summary| own.color.extend(OPACITY_WEIGHT) * own.opacity;
     let color = one.share[0] * a.color + one.share[1] * b.color;
     let terms = [
         (of(a), a.mean, &a.covariance),
@@ -156,7 +156,7 @@ fn picture_difference(a: &Brief, b: &Brief) -> f64 {
     sum.max(0.0)
 }
 
-fn cost(a: &Brief, b: &Brief) -> f64 {
+fn cost(a: &Summary, b: &Summary) -> f64 {
     let apart = a.mean.distance_squared(b.mean) / (a.size2 + b.size2).max(f64::MIN_POSITIVE);
     let mass = a.mass * b.mass / (a.mass + b.mass).max(f64::MIN_POSITIVE);
     let differs = apart + COLOR_WEIGHT * a.color.distance_squared(b.color);
@@ -169,7 +169,7 @@ fn candidates(gaussians: &Gaussians) -> Vec<Pair> {
         // A position that is not finite has no neighbours.
         let _ = tree.add(mean.map(f64::from), index);
     }
-    let briefs: Vec<Brief> = (0..gaussians.len()).map(|index| brief(gaussians, index)).collect();
+    let summaries: Vec<Summary> = (0..gaussians.len()).map(|index| summary(gaussians, index)).collect();
     let pairs_of = |first: usize| {
         let place = gaussians.means[first].map(f64::from);
         let nearest = tree.nearest(&place, NEIGHBOURS + 1, &squared_euclidean).unwrap_or_default();
@@ -177,7 +177,7 @@ fn candidates(gaussians: &Gaussians) -> Vec<Pair> {
         let pair = |second: usize| {
             // Ordered indices, so that the cost is the same from either side.
             let (first, second) = (first.min(second), first.max(second));
-            Pair { cost: cost(&briefs[first], &briefs[second]), first, second }
+            Pair { cost: cost(&summaries[first], &summaries[second]), first, second }
         };
         others.map(pair).collect::<Vec<_>>()
     };
@@ -186,8 +186,8 @@ fn candidates(gaussians: &Gaussians) -> Vec<Pair> {
     pairs
 }
 
-/// The cheapest pairs, at most `most`, of which no two share a Gaussian.
-fn disjoint(pairs: Vec<Pair>, count: usize, most: usize) -> Vec<(usize, usize)> {
+/// The cheapest pairs, at most `max`, of which no two share a Gaussian.
+fn disjoint(pairs: Vec<Pair>, count: usize, max: usize) -> Vec<(usize, usize)> {
     let mut taken = vec![false; count];
     let free = pairs.into_iter().filter(|pair| {
         let free = !taken[pair.first] && !taken[pair.second];
@@ -195,7 +195,7 @@ fn disjoint(pairs: Vec<Pair>, count: usize, most: usize) -> Vec<(usize, usize)> 
         taken[pair.second] |= free;
         free
     });
-    free.take(most).map(|pair| (pair.first, pair.second)).collect()
+    free.take(max).map(|pair| (pair.first, pair.second)).collect()
 }
 
 /// All Gaussians in their order, with the second of each pair merged into the first.
@@ -217,8 +217,8 @@ fn merged(gaussians: &Gaussians, pairs: &[(usize, usize)]) -> Gaussians {
 }
 
 fn push_merged(all: &Gaussians, pair: [usize; 2], left: &mut Gaussians) {
-    let [a, b] = pair.map(|index| brief(all, index));
-    let Joined { mean, covariance, opacity, share } = joined(&a, &b);
+    let [a, b] = pair.map(|index| summary(all, index));
+    let MergedPair { mean, covariance, opacity, share } = merged_pair(&a, &b);
     let (axes, variances) = eigen(covariance);
     let scales = variances.map(|v| v.max(f64::MIN_POSITIVE).sqrt());
     let rotation = DQuat::from_mat3(&axes).normalize();
@@ -274,19 +274,20 @@ mod tests {
     use super::*;
     use crate::growth::turn;
 
-    fn of(mean: DVec3, sigmas: DVec3, opacity: f64) -> Brief {
+    fn of(mean: DVec3, sigmas: DVec3, opacity: f64) -> Summary {
         let covariance = DMat3::from_diagonal(sigmas * sigmas);
         let (mass, size2) = (opacity * area(&covariance), sigmas.length_squared() / 3.0);
-        Brief { mean, covariance, opacity, mass, size2, color: DVec3::splat(0.5) }
+        Summary { mean, covariance, opacity, mass, size2, color: DVec3::splat(0.5) }
     }
 
     /// Compares with sums over the pixels of three pictures.
     #[test]
     fn differences_of_pictures_are_those_of_sums() {
         let _turn = turn();
-        let a = Brief { color: DVec3::new(0.9, 0.2, 0.4), ..of(DVec3::ZERO, DVec3::new(0.5, 0.3, 0.4), 0.8) };
+        let a =
+            Summary { color: DVec3::new(0.9, 0.2, 0.4), ..of(DVec3::ZERO, DVec3::new(0.5, 0.3, 0.4), 0.8) };
         let b = of(DVec3::new(0.6, -0.3, 0.2), DVec3::new(0.2, 0.6, 0.3), 0.5);
-        let one = joined(&a, &b);
+        let one = merged_pair(&a, &b);
         let color = one.share[0] * a.color + one.share[1] * b.color;
         let terms = [
             (a.opacity * a.color.extend(OPACITY_WEIGHT), a.mean, a.covariance),
@@ -317,12 +318,12 @@ mod tests {
     fn opaque_ones_keep_what_they_cover() {
         let _turn = turn();
         let [a, b] = [-0.4, 0.4].map(|x| of(DVec3::X * x, DVec3::splat(0.5), 0.98));
-        let near = joined(&a, &b);
+        let near = merged_pair(&a, &b);
         assert!((near.opacity * area(&near.covariance) / (a.mass + b.mass) - 1.0).abs() < 1e-9);
         assert!(near.opacity == MAX_OPACITY && near.covariance.col(1)[1] > 1.2 * 0.25, "{}", near.covariance);
         // A faint Gaussian keeps its size.
         let [a, b] = [-0.4, 0.4].map(|x| of(DVec3::X * x, DVec3::splat(0.5), 0.3));
-        let faint = joined(&a, &b);
+        let faint = merged_pair(&a, &b);
         assert!((faint.covariance.col(1)[1] - 0.25).abs() < 1e-12 && faint.opacity < 0.6);
     }
 
@@ -336,12 +337,12 @@ mod tests {
             let needle = |mean: DVec3| {
                 let covariance = outer(along) + DMat3::from_diagonal(DVec3::splat(1e-20));
                 let color = DVec3::splat(0.5);
-                Brief { mean, covariance, opacity: 0.9, mass: 0.9 * area(&covariance), size2: 1.0, color }
+                Summary { mean, covariance, opacity: 0.9, mass: 0.9 * area(&covariance), size2: 1.0, color }
             };
             let (a, b) = (needle(DVec3::ZERO), needle(0.3 * along));
-            let one = joined(&a, &b);
-            let most = one.covariance.to_cols_array().into_iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-            assert!(most < 5.0 && one.opacity <= MAX_OPACITY, "{along}: {most} {}", one.opacity);
+            let one = merged_pair(&a, &b);
+            let max = one.covariance.to_cols_array().into_iter().fold(0.0, |max: f64, x| max.max(x.abs()));
+            assert!(max < 5.0 && one.opacity <= MAX_OPACITY, "{along}: {max} {}", one.opacity);
         }
     }
 }

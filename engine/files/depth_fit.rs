@@ -18,7 +18,7 @@ pub const DEPTH_PARAMS_FILE: &str = "depth_params.json";
 /// A fit needs more than this many points.
 const FEWEST: usize = 10;
 /// Least range of the points' inverse depths, 1 / world units.
-const LEAST_RANGE: f64 = 1e-3;
+const MIN_RANGE: f64 = 1e-3;
 /// A map is skipped if its scale is outside of this range, times the median.
 const RELIABLE: [f64; 2] = [0.2, 5.0];
 
@@ -56,7 +56,7 @@ impl DepthFit {
         }
         let all = points.iter().map(|point| point.inverse_z);
         let range = all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min);
-        if pairs.len() <= FEWEST || range.is_nan() || range <= LEAST_RANGE {
+        if pairs.len() <= FEWEST || range.is_nan() || range <= MIN_RANGE {
             return (Self::default(), false);
         }
         let (depths, values): (Vec<f64>, Vec<f64>) = pairs.into_iter().unzip();

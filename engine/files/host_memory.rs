@@ -169,11 +169,11 @@ fn free_bytes() -> Option<u64> {
     let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let machine = kib_of(&text("/proc/meminfo"), "MemAvailable:");
     let own = address_space(&text("/proc/self/limits"))
-        .map(|most| most.saturating_sub(kib_of(&text("/proc/self/status"), "VmSize:").unwrap_or(0)));
+        .map(|max| max.saturating_sub(kib_of(&text("/proc/self/status"), "VmSize:").unwrap_or(0)));
     let groups = group_folders(&text("/proc/self/cgroup"));
     let left = |(folder, names): &(String, [&str; 2])| {
-        let [most, used] = names.map(|name| text(&format!("{folder}/{name}")).trim().parse::<u64>().ok());
-        Some(most?.saturating_sub(used?))
+        let [max, used] = names.map(|name| text(&format!("{folder}/{name}")).trim().parse::<u64>().ok());
+        Some(max?.saturating_sub(used?))
     };
     groups.iter().filter_map(left).chain(machine).chain(own).min()
 }

@@ -259,7 +259,7 @@ fn catmull_rom(x: f32) -> f32 {
 }
 
 /// A row of the result that still needs rows of the picture.
-struct Open {
+struct OpenRow {
     taps: Taps,
     sums: Vec<f32>,
 }
@@ -272,7 +272,7 @@ pub(super) struct RowScaler {
     from: [u32; 2],
     to: [u32; 2],
     columns: Vec<Taps>,
-    open: VecDeque<Open>,
+    open: VecDeque<OpenRow>,
     /// Number of result rows that have been opened.
     opened: u32,
     /// Number of source rows so far.
@@ -304,10 +304,10 @@ impl RowScaler {
             if taps.first > self.rows {
                 break;
             }
-            self.open.push_back(Open { taps, sums: vec![0.0; row.len()] });
+            self.open.push_back(OpenRow { taps, sums: vec![0.0; row.len()] });
             self.opened += 1;
         }
-        for Open { taps, sums } in &mut self.open {
+        for OpenRow { taps, sums } in &mut self.open {
             if let Some(weight) = self.rows.checked_sub(taps.first).and_then(|tap| taps.weights.get(tap)) {
                 cost::steps(row.len());
                 sums.iter_mut().zip(row).for_each(|(sum, &value)| *sum += f32::from(value) * weight);

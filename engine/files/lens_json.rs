@@ -13,7 +13,7 @@ use ashsplat::{Error, Result};
 pub const LENS_FILE: &str = "lens.json";
 
 /// Largest exponent of a response, and the inverse of the smallest. No real camera exceeds it.
-const MOST_GAMMA: f32 = 20.0;
+const MAX_GAMMA: f32 = 20.0;
 
 /// Cameras by their ids, and the ids by the names of photographs.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -69,7 +69,7 @@ impl LensFile {
             if !vignetting.as_flattened().iter().all(|a| a.is_finite()) {
                 return Err(problem(format!("camera {id} has a vignetting that is not finite")));
             }
-            if !response.iter().all(|gamma| (MOST_GAMMA.recip()..=MOST_GAMMA).contains(gamma)) {
+            if !response.iter().all(|gamma| (MAX_GAMMA.recip()..=MAX_GAMMA).contains(gamma)) {
                 return Err(problem(format!("camera {id} has the response {response:?}")));
             }
             let row = |c: usize| {

@@ -33,7 +33,7 @@ pub fn cc_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) 
     /// Weight of the identity per pixel, for pictures that do not determine the map.
     const RIDGE: f64 = 1e-6;
     /// Least variance of a reference that is no single colour: two steps of 8 bits.
-    const LEAST_VARIANCE: f64 = (2.0 / 255.0) * (2.0 / 255.0);
+    const MIN_VARIANCE: f64 = (2.0 / 255.0) * (2.0 / 255.0);
     check_sizes(image.len(), reference.len(), mask)?;
     let counts = |pixel: &usize| mask.is_none_or(|mask| mask[*pixel] != 0);
     let pixels = || (0..image.len()).filter(counts).map(|pixel| (&image[pixel], &reference[pixel]));
@@ -47,7 +47,7 @@ pub fn cc_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) 
         .map(|(_, b)| color(b))
         .fold((DVec4::ZERO, DVec4::ZERO), |(sum, squares), b| (sum + b, squares + b * b));
     let variance = (squares / count - (sum / count) * (sum / count)).truncate().max_element();
-    if variance < LEAST_VARIANCE {
+    if variance < MIN_VARIANCE {
         return Ok(decibels(pixels()));
     }
     let ridge = DMat4::IDENTITY * (RIDGE * count);

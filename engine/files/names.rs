@@ -264,8 +264,8 @@ impl Finder {
             let own = photo.iter().rev().map(|part| stem_key(&part.to_string_lossy()));
             own.zip(&parts).take_while(|(own, part)| own == *part).count()
         };
-        let most = candidates.iter().map(|photo| shared(photo)).max();
-        let mut best = candidates.iter().filter(|photo| Some(shared(photo)) == most);
+        let max = candidates.iter().map(|photo| shared(photo)).max();
+        let mut best = candidates.iter().filter(|photo| Some(shared(photo)) == max);
         match (best.next(), best.next()) {
             (Some(first), Some(second)) => Err([first.clone(), second.clone()]),
             (first, _) => Ok(first.cloned()),

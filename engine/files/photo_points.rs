@@ -93,7 +93,7 @@ pub fn photo_points(
     let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, 2 * some);
     let read = |view| {
         progress.check()?;
-        let small = Small::new(view, memory)?;
+        let small = SmallView::new(view, memory)?;
         step();
         Ok(small)
     };
@@ -104,7 +104,8 @@ pub fn photo_points(
     let sweep = |index: usize| {
         progress.check()?;
         let range = range_of(index);
-        let compared: Vec<&Small> = neighbours(&cameras, index, range).map(|other| &small[other]).collect();
+        let compared: Vec<&SmallView> =
+            neighbours(&cameras, index, range).map(|other| &small[other]).collect();
         let depths = small[index].sweep(&compared, range);
         step();
         Ok(depths)
@@ -162,7 +163,7 @@ fn first(mut rated: Vec<(f32, usize)>, count: usize) -> impl Iterator<Item = usi
 }
 
 /// Points at the pixels of a view whose depth other views confirm.
-fn agreed(views: &[Small], depths: &[Depths], of: usize, witnesses: &[usize]) -> Vec<(Vec3, [u8; 3])> {
+fn agreed(views: &[SmallView], depths: &[Depths], of: usize, witnesses: &[usize]) -> Vec<(Vec3, [u8; 3])> {
     let (view, own) = (&views[of], &depths[of]);
     let agrees = |point: Vec3, witness: usize| {
         let (x, y, depth) = views[witness].camera.project(point);
@@ -189,7 +190,7 @@ fn agreed(views: &[Small], depths: &[Depths], of: usize, witnesses: &[usize]) ->
 }
 
 /// A small copy of a view.
-struct Small {
+struct SmallView {
     camera: Camera,
     width: usize,
     height: usize,
@@ -214,7 +215,7 @@ struct Depths {
     correlation: Vec<f32>,
 }
 
-impl Small {
+impl SmallView {
     fn new(view: &View, memory: &HostMemory) -> Result<Self> {
         let (full_width, full_height) = (view.photo.width, view.photo.height);
         let share = (LONG_SIDE as f32 / full_width.max(full_height) as f32).min(1.0);
@@ -281,7 +282,7 @@ impl Small {
         row(top) + (row(bottom) - row(top)) * down
     }
 
-    fn sweep(&self, others: &[&Small], [near, far]: [f32; 2]) -> Depths {
+    fn sweep(&self, others: &[&SmallView], [near, far]: [f32; 2]) -> Depths {
         let pixels = self.gray.len();
         let mut best = Depths { depth: vec![0.0; pixels], correlation: vec![-1.0; pixels] };
         // Two views must agree: a single one resembles any window somewhere.
@@ -326,7 +327,7 @@ impl Small {
     }
 
     /// Warps another view to this one for pixels at depth `depth`; `None` outside the other view.
-    fn warp(&self, other: &Small, depth: f32, warped: &mut [Option<f32>]) {
+    fn warp(&self, other: &SmallView, depth: f32, warped: &mut [Option<f32>]) {
         let turn = other.camera.camera_from_world * self.camera.camera_from_world.transpose();
         let shift = other.camera.translation - turn * self.camera.translation;
         for (at, value) in warped.iter_mut().enumerate() {

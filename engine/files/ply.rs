@@ -141,10 +141,10 @@ fn raw_values_doubtful(sample: &[[f64; SH_REST]], has_all: bool) -> Option<Strin
         |columns: Range<usize>| sample.iter().flat_map(move |row| row[columns.clone()].iter().copied());
     let range = |columns: Range<usize>| {
         let empty = [f64::INFINITY, f64::NEG_INFINITY];
-        values(columns).fold(empty, |[least, most], value| [least.min(value), most.max(value)])
+        values(columns).fold(empty, |[min, max], value| [min.min(value), max.max(value)])
     };
     // Logits and SH coefficients of trained scenes go far beyond 0 and 1.
-    let is_share = |[least, most]: [f64; 2]| least >= 0.0 && most <= 1.0 && most - least > 0.5;
+    let is_share = |[min, max]: [f64; 2]| min >= 0.0 && max <= 1.0 && max - min > 0.5;
     let [opacity, color, scale] = [OPACITY..SCALE, SH_DC..SH_REST, SCALE..QUATERNION].map(range);
     let mut found = Vec::new();
     if is_share(opacity) {
@@ -369,7 +369,7 @@ fn white(path: &Path, element: &Element, names: [&str; 3]) -> Result<f64> {
     let element = file.seek_element(&element.name)?;
     let mut brightest = 0.0_f64;
     file.for_each_row(&element, &names, |_, row| {
-        brightest = row.iter().fold(brightest, |most, &value| most.max(value));
+        brightest = row.iter().fold(brightest, |max, &value| max.max(value));
         Ok(())
     })?;
     Ok(if brightest > 2.0 { 255.0 } else { 1.0 })

@@ -50,10 +50,10 @@ pub fn open(path: impl AsRef<Path>) -> Result<(File, u64)> {
     Ok((file, metadata.len()))
 }
 
-/// The first bytes of a regular file, `most` at most.
-pub(crate) fn start(path: &Path, most: u64) -> Result<Vec<u8>> {
+/// The first bytes of a regular file, `max_bytes` at most.
+pub(crate) fn start(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     let mut start = Vec::new();
-    open(path)?.0.take(most).read_to_end(&mut start).reading(path)?;
+    open(path)?.0.take(max_bytes).read_to_end(&mut start).reading(path)?;
     Ok(start)
 }
 
@@ -77,13 +77,13 @@ pub(crate) fn rows(
     mut row: impl FnMut(&[u8]) -> Result<()>,
 ) -> Result<()> {
     const BUFFER_BYTES: usize = 1 << 20;
-    let most = (BUFFER_BYTES / row_bytes).max(1) as u64;
-    let mut buffer = vec![0; row_bytes * most.min(count) as usize];
+    let buffer_rows = (BUFFER_BYTES / row_bytes).max(1) as u64;
+    let mut buffer = vec![0; row_bytes * buffer_rows.min(count) as usize];
     let mut left = count;
     while left > 0 {
-        let bytes = &mut buffer[..row_bytes * most.min(left) as usize];
+        let bytes = &mut buffer[..row_bytes * buffer_rows.min(left) as usize];
         reader.read_exact(bytes).reading(path)?;
-        left -= most.min(left);
+        left -= buffer_rows.min(left);
         for bytes in bytes.chunks_exact(row_bytes) {
             cost::step();
             row(bytes)?;
@@ -131,11 +131,11 @@ pub(crate) fn check_json(path: &Path, text: &[u8], limit: Option<u64>) -> Result
     host_memory::check(path, 2 * text.len() as u64 + JSON_ITEM_BYTES * items, limit)
 }
 
-/// Reads a file; `None` if it has more than `most` bytes.
-pub fn read_at_most(path: impl AsRef<Path>, most: u64) -> Result<Option<Vec<u8>>> {
+/// Reads a file; `None` if it has more than `max_bytes` bytes.
+pub fn read_at_most(path: impl AsRef<Path>, max_bytes: u64) -> Result<Option<Vec<u8>>> {
     let path = path.as_ref();
     let (file, length) = open(path)?;
-    (length <= most).then(|| contents(path, file, length)).transpose()
+    (length <= max_bytes).then(|| contents(path, file, length)).transpose()
 }
 
 /// Reads no more than the length at opening: some system files have no length and never end.

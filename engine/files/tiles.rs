@@ -31,13 +31,13 @@ const MERGED: usize = 4;
 /// Reach of a Gaussian, standard deviations: an opaque one is drawn up to √(2 ln 255).
 const REACH: f64 = 3.34;
 /// Largest reach of a Gaussian from its mean, world units: single precision ends soon after.
-const MOST_REACH: f64 = 1e38;
+const MAX_REACH: f64 = 1e38;
 
 /// Options for dividing a scene into tiles.
 #[derive(Clone, Copy, Debug)]
 pub struct TileOptions {
     /// Largest number of Gaussians in a tile.
-    pub most: usize,
+    pub max_gaussians: usize,
     /// True if the tiles' attributes are packed as SPZ version 2, with `KHR_gaussian_splatting_compression_spz_2`.
     /// CesiumJS reads no others.
     pub packed: bool,
@@ -46,7 +46,7 @@ pub struct TileOptions {
 impl Default for TileOptions {
     /// 50,000 Gaussians, not packed.
     fn default() -> Self {
-        Self { most: 50_000, packed: false }
+        Self { max_gaussians: 50_000, packed: false }
     }
 }
 
@@ -91,7 +91,7 @@ pub fn write(
     progress: &Progress<'_>,
 ) -> Result<Tiling> {
     in_new_folder(folder, |folder| {
-        let spill = Spill::of(input, folder, options.most, read, progress)?;
+        let spill = Spill::of(input, folder, options.max_gaussians, read, progress)?;
         let done = Tiling {
             gaussians: spill.means.len() as u64,
             warnings: spill.warnings.clone(),
@@ -99,7 +99,7 @@ pub fn write(
         };
         let losses = PartLosses::default();
         let mut writer = TileWriter { spill, input, folder, options, measure, progress, done, losses };
-        let steps = steps(&writer.spill.means, &writer.spill.cells, options.most)?;
+        let steps = steps(&writer.spill.means, &writer.spill.cells, options.max_gaussians)?;
         let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
         write_tileset(&folder.join(TILESET_FILE), &root, writer.spill.origin, options.packed)?;
         let mut done = Tiling { levels: root.levels, ..writer.done };
@@ -184,7 +184,7 @@ impl Spill {
     fn of(
         input: &Path,
         folder: &Path,
-        most: usize,
+        max_gaussians: usize,
         read: &ReadOptions,
         progress: &Progress<'_>,
     ) -> Result<Spill> {
@@ -207,7 +207,7 @@ impl Spill {
             return Err(Error::input(input, "has no Gaussians", "give a trained scene"));
         }
         // Means are finite, and there is at least one, so too many are at one place.
-        let cells = Cells::divide(&means, most).map_err(|e| {
+        let cells = Cells::divide(&means, max_gaussians).map_err(|e| {
             Error::input(input, format!("cannot be divided: {e}"), "give more --max-gaussians")
         })?;
         let folder = folder.join(ROWS);
@@ -276,7 +276,7 @@ enum Step {
 }
 
 /// The steps to all tiles. The same division ends earlier for larger cells, so that each consists of whole smaller ones.
-fn steps(means: &[[f32; 3]], finest: &Cells, mut most: usize) -> Result<Vec<Step>> {
+fn steps(means: &[[f32; 3]], finest: &Cells, mut max_gaussians: usize) -> Result<Vec<Step>> {
     let mut inside: Vec<Vec3> = vec![Vec3::NAN; finest.bounds().len()];
     for mean in means.iter().copied().map(Vec3::from_array) {
         if let Some(cell) = finest.at(mean) {
@@ -287,8 +287,8 @@ fn steps(means: &[[f32; 3]], finest: &Cells, mut most: usize) -> Result<Vec<Step
     let mut trees: Vec<(Vec<Step>, Vec3)> =
         inside.into_iter().enumerate().map(|(cell, place)| (vec![Step::Leaf(cell)], place)).collect();
     while trees.len() > 1 {
-        most = most.saturating_mul(MERGED);
-        let coarser = Cells::divide(means, most)?;
+        max_gaussians = max_gaussians.saturating_mul(MERGED);
+        let coarser = Cells::divide(means, max_gaussians)?;
         let mut below: Vec<Vec<(Vec<Step>, Vec3)>> = coarser.bounds().iter().map(|_| Vec::new()).collect();
         for (tree, place) in trees {
             if let Some(cell) = coarser.at(place) {
@@ -322,7 +322,7 @@ struct TileWriter<'a, 'm> {
 }
 
 impl TileWriter<'_, '_> {
-    fn write(&mut self, steps: &[Step]) -> Result<Option<Written>> {
+    fn write(&mut self, steps: &[Step]) -> Result<Option<TileFile>> {
         let mut written = Vec::new();
         for step in steps {
             let built = match *step {
@@ -334,7 +334,7 @@ impl TileWriter<'_, '_> {
         Ok(written.pop().map(|(_, root)| root))
     }
 
-    fn above(&mut self, below: Vec<(Gaussians, Written)>, total: usize) -> Result<(Gaussians, Written)> {
+    fn above(&mut self, below: Vec<(Gaussians, TileFile)>, total: usize) -> Result<(Gaussians, TileFile)> {
         let mut finer = Gaussians::with_capacity(self.spill.sh_degree, 0);
         let mut children = Vec::new();
         for (gaussians, tile) in below {
@@ -342,9 +342,9 @@ impl TileWriter<'_, '_> {
             children.push(tile);
         }
         let mut merged = finer.clone();
-        decimate(&mut merged, (finer.len() / MERGED).clamp(1, self.options.most));
+        decimate(&mut merged, (finer.len() / MERGED).clamp(1, self.options.max_gaussians));
         // Squares of uncorrelated differences add up, such as those of tiles side by side.
-        let squares = children.iter().map(|tile: &Written| tile.json.geometric_error.powi(2)).sum::<f64>();
+        let squares = children.iter().map(|tile: &TileFile| tile.json.geometric_error.powi(2)).sum::<f64>();
         let error = (squares + (self.measure)(&finer, &merged)?.powi(2)).sqrt();
         self.tile(merged, children, error, total)
     }
@@ -352,10 +352,10 @@ impl TileWriter<'_, '_> {
     fn tile(
         &mut self,
         gaussians: Gaussians,
-        children: Vec<Written>,
+        children: Vec<TileFile>,
         error: f64,
         total: usize,
-    ) -> Result<(Gaussians, Written)> {
+    ) -> Result<(Gaussians, TileFile)> {
         self.progress.check()?;
         let name = format!("{}.glb", self.done.tiles);
         // The root's transform places all tiles.
@@ -385,7 +385,7 @@ impl TileWriter<'_, '_> {
             extras: ExtrasJson { gaussians: gaussians.len() as u32 },
             children: children.into_iter().map(|tile| tile.json).collect(),
         };
-        Ok((gaussians, Written { bounds, levels, json }))
+        Ok((gaussians, TileFile { bounds, levels, json }))
     }
 }
 
@@ -404,14 +404,14 @@ fn reach(all: &Gaussians) -> Bounds {
 fn box_around(all: &Gaussians, half: impl Fn(usize) -> DVec3) -> Bounds {
     let nothing = Bounds { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
     let own = |index: usize| {
-        let (mean, half) = (Vec3::from_array(all.means[index]), half(index).min(DVec3::splat(MOST_REACH)));
+        let (mean, half) = (Vec3::from_array(all.means[index]), half(index).min(DVec3::splat(MAX_REACH)));
         Bounds { min: mean - half.as_vec3(), max: mean + half.as_vec3() }
     };
     (0..all.len()).map(own).fold(nothing, enclosing)
 }
 
 /// A tile whose file is written.
-struct Written {
+struct TileFile {
     /// Reach of the tile and its children, in this crate's frame.
     bounds: Bounds,
     /// Number of levels from this tile to the finest.
@@ -432,7 +432,7 @@ fn box_of(bounds: Bounds) -> [f64; 12] {
 }
 
 /// Writes the description of a tree whose tiles are relative to an origin.
-fn write_tileset(path: &Path, root: &Written, origin: DVec3, packed: bool) -> Result<()> {
+fn write_tileset(path: &Path, root: &TileFile, origin: DVec3, packed: bool) -> Result<()> {
     // Error of drawing nothing at all.
     let nothing =
         root.bounds.max.as_dvec3().distance(root.bounds.min.as_dvec3()).max(root.json.geometric_error);

@@ -299,7 +299,7 @@ impl Frame {
 
 /// Longest value that is kept, bytes, except for the lists of names. A longer one has no known key, and would take up to
 /// 200 times its bytes of memory.
-const MOST_BYTES: usize = 1 << 16;
+const MAX_BYTES: usize = 1 << 16;
 
 /// A file whose frames are not parsed yet.
 struct Document<'a> {
@@ -330,11 +330,11 @@ fn values(path: &Path, raw: RawObject<'_>) -> Result<Value> {
     let mut values = Map::new();
     for (key, value) in raw {
         let bytes = value.get().len();
-        if bytes > MOST_BYTES && (key == "file_path" || MASK_KEYS.contains(&key.as_str())) {
+        if bytes > MAX_BYTES && (key == "file_path" || MASK_KEYS.contains(&key.as_str())) {
             let problem = format!("{key} has {bytes} bytes; {MAX_PATH_BYTES} are possible for a path");
             return Err(Error::input(path, problem, DAMAGED));
         }
-        let is_used = bytes <= MOST_BYTES || LISTS.contains(&key.as_str());
+        let is_used = bytes <= MAX_BYTES || LISTS.contains(&key.as_str());
         if is_used && key != "frames" {
             let parsed = serde_json::from_str(value.get());
             let problem = |e| Error::input(path, format!("{key} is not JSON: {e}"), DAMAGED);

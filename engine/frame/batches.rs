@@ -9,12 +9,12 @@ use super::inputs::PlacedScene;
 use crate::kernels::constants::NO_BATCH;
 
 /// Minimum number of scenes in a batch, and in a frame with batches.
-pub(crate) const LEAST_SCENES: u32 = 8;
+pub(crate) const MIN_SCENES: u32 = 8;
 /// Maximum number of culling blocks of a scene in a batch. A batch projects whole culling blocks, even if few of their
 /// Gaussians are visible. Outside a batch, a scene's visible Gaussians fill workgroups.
-const MOST_BLOCKS: u32 = 16;
+const MAX_BLOCKS: u32 = 16;
 /// Maximum number of other scenes' culling blocks between two scenes of a batch.
-const MOST_BETWEEN: u32 = 32;
+const MAX_BETWEEN: u32 = 32;
 /// Number of batches that accept scenes at the same time.
 const OPEN: usize = 8;
 
@@ -39,7 +39,7 @@ impl Batch {
 
     /// True if few enough culling blocks separate the batch from a later scene that begins at this Gaussian.
     fn is_near(&self, block: u32, begin: u32) -> bool {
-        begin - self.end.next_multiple_of(block) <= MOST_BETWEEN * block
+        begin - self.end.next_multiple_of(block) <= MAX_BETWEEN * block
     }
 }
 
@@ -53,7 +53,7 @@ pub struct FrameBatches<'a> {
 
 /// Properties that the scenes of a batch share: VkBuffer of the parameters, SH degree, [kinds](super::SceneSettings::kinds).
 #[derive(Clone, Copy, PartialEq)]
-struct Shared {
+struct BatchKey {
     memory: u64,
     sh_degree: u32,
     kinds: [bool; 3],
@@ -61,8 +61,8 @@ struct Shared {
 
 /// A batch that accepts scenes.
 #[derive(Clone, Copy)]
-struct Open {
-    shared: Shared,
+struct OpenBatch {
+    shared: BatchKey,
     /// Index in the list of batches.
     batch: usize,
     /// True if the buffer of the first scene has no space for others.
@@ -72,22 +72,22 @@ struct Open {
 /// Assigns the scenes of a frame to batches, and adds these to `batches`. Blocks have `block` Gaussians. Returns true if the batches draw
 /// everything.
 pub(crate) fn form_batches(block: u32, scenes: &mut [PlacedScene<'_>], batches: &mut Vec<Batch>) -> bool {
-    if scenes.len() < LEAST_SCENES as usize {
+    if scenes.len() < MIN_SCENES as usize {
         return false;
     }
     let own = batches.len();
     let drawn = assign(block, scenes, batches);
-    for small in batches[own..].iter().filter(|batch| batch.scenes < LEAST_SCENES) {
+    for small in batches[own..].iter().filter(|batch| batch.scenes < MIN_SCENES) {
         let of_batch = scenes[small.first as usize..].iter_mut().filter(|placed| placed.batch == small.first);
         of_batch.take(small.scenes as usize).for_each(|placed| placed.batch = NO_BATCH);
     }
-    batches.retain(|batch| batch.scenes >= LEAST_SCENES);
+    batches.retain(|batch| batch.scenes >= MIN_SCENES);
     batches[own..].iter().map(|batch| batch.scenes).sum::<u32>() == drawn
 }
 
 /// Assigns scenes to batches of any size and returns the number of drawn scenes.
 fn assign(block: u32, scenes: &mut [PlacedScene<'_>], batches: &mut Vec<Batch>) -> u32 {
-    let (mut open, mut drawn) = ([None::<Open>; OPEN], 0);
+    let (mut open, mut drawn) = ([None::<OpenBatch>; OPEN], 0);
     for (index, placed) in (0..).zip(scenes) {
         let (begin, count) = (placed.first, placed.drawn_gaussians());
         drawn += u32::from(count > 0);
@@ -96,14 +96,14 @@ fn assign(block: u32, scenes: &mut [PlacedScene<'_>], batches: &mut Vec<Batch>) 
         let joined = known.and_then(|at| open[at]).map(|open| open.batch);
         let batch = joined.filter(|&batch| batches[batch].is_near(block, begin)).unwrap_or_else(|| {
             // Replaces a batch that no scene can join any more, or that few scenes will join.
-            let worth = |open: &Open| match batches[open.batch] {
+            let worth = |open: &OpenBatch| match batches[open.batch] {
                 batch if !batch.is_near(block, begin) => 0,
                 Batch { scenes: 1, .. } if open.is_full => 1,
                 Batch { scenes, .. } => 1 + scenes,
             };
-            let least = || (0..OPEN).min_by_key(|&at| open[at].as_ref().map_or(0, worth)).unwrap_or(0);
-            let at = known.unwrap_or_else(least);
-            open[at] = Some(Open { shared, batch: batches.len(), is_full: placed.parameters.is_full });
+            let cheapest = || (0..OPEN).min_by_key(|&at| open[at].as_ref().map_or(0, worth)).unwrap_or(0);
+            let at = known.unwrap_or_else(cheapest);
+            open[at] = Some(OpenBatch { shared, batch: batches.len(), is_full: placed.parameters.is_full });
             batches.push(Batch { first: index, scenes: 0, begin, end: begin });
             batches.len() - 1
         });
@@ -115,12 +115,12 @@ fn assign(block: u32, scenes: &mut [PlacedScene<'_>], batches: &mut Vec<Batch>) 
 }
 
 /// Returns what a scene shares with the others of its batch; None if it cannot be in one.
-fn shared(block: u32, placed: &PlacedScene<'_>) -> Option<Shared> {
+fn shared(block: u32, placed: &PlacedScene<'_>) -> Option<BatchKey> {
     let (drawn, memory) = (placed.drawn_gaussians(), placed.parameters.memory);
     let fits = drawn > 0
-        && drawn <= MOST_BLOCKS * block
+        && drawn <= MAX_BLOCKS * block
         && memory != 0
         && placed.settings.mask().is_none()
         && placed.scene.plan.sh_storage == ShStorage::F32;
-    fits.then(|| Shared { memory, sh_degree: placed.sh_degree, kinds: placed.settings.kinds() })
+    fits.then(|| BatchKey { memory, sh_degree: placed.sh_degree, kinds: placed.settings.kinds() })
 }

@@ -431,9 +431,9 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, sizes: &LaunchSize
 
 /// True if a device's limits allow the buffers and grids of a frame, regardless of memory.
 pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, sizes: &LaunchSizes) -> bool {
-    let most = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
+    let max = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
     check_grids(limits, capacity, sizes).is_ok()
-        && FrameBuffers::requests(capacity, sizes).iter().all(|(_, bytes)| *bytes <= most)
+        && FrameBuffers::requests(capacity, sizes).iter().all(|(_, bytes)| *bytes <= max)
 }
 
 /// Bits of the tiles' indices of a camera's image.

@@ -88,8 +88,8 @@ pub struct LaunchSizes {
 /// Returns the rows of a tile's regions, 8 pixels wide, that subgroups of this size blend.
 pub fn region_height(tuning: &Tuning, subgroup_size: u32) -> u32 {
     // Fewest rows of a subgroup.
-    let least = (subgroup_size / 8).max(4);
-    (tuning.region_pixels * subgroup_size / 8).clamp(least, least.max(8))
+    let lowest = (subgroup_size / 8).max(4);
+    (tuning.region_pixels * subgroup_size / 8).clamp(lowest, lowest.max(8))
 }
 
 impl LaunchSizes {

@@ -13,7 +13,7 @@ pub mod subgroups;
 pub mod tuning;
 
 pub use batches::{Batch, FrameBatches};
-pub(crate) use batches::{LEAST_SCENES, form_batches};
+pub(crate) use batches::{MIN_SCENES, form_batches};
 pub use buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Outputs, Splats, check_grids, frame_fits_device};
 pub(crate) use buffers::{
     LENS_SUM_BYTES, POSE_SUM_BYTES, Pass, array_of, bits_of_tiles, buffer_set, first_lens_sum, packed_bytes,
@@ -24,7 +24,7 @@ pub use inputs::{FrameInputs, PlacedScene, PreviousView, SceneBuffers, SceneView
 pub(crate) use inputs::{Parameters, Part};
 pub use launch_sizes::{BlendShape, LaunchSizes, SORT_ARRIVAL_BYTES, blocks, region_height};
 pub use plan::{
-    FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, ShStorage,
+    FrameCapacity, GaussianRange, MIN_INSTANCES, MIN_VISIBLE, PictureCapacity, ScenePlan, ShStorage,
     gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,
     max_trained_instances, next_scene_begin, parameter_planes, tile_bits, tile_grid, to_u32,
 };

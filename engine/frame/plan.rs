@@ -230,28 +230,28 @@ const INSTANCE_BYTES: u64 = 16;
 /// First estimate of the visible Gaussians of a frame; a frame with more overflows and is run again. A camera sees only
 /// part of a large scene, and most of a frame's memory is per visible Gaussian.
 pub fn initial_visible(gaussians: u32) -> u32 {
-    gaussians.min(LEAST_VISIBLE.max(gaussians / 4))
+    gaussians.min(MIN_VISIBLE.max(gaussians / 4))
 }
 
 /// Lower bound of the estimate, unless the scene has fewer Gaussians.
-pub const LEAST_VISIBLE: u32 = 1 << 12;
+pub const MIN_VISIBLE: u32 = 1 << 12;
 
 /// First estimate of the instances of a frame with `visible` visible Gaussians, bounded by a binding and a grid. A frame
 /// with more overflows and is run again.
 pub fn initial_instances(limits: &Limits, visible: u32, pictures: &PictureCapacity) -> u32 {
     let guess = u64::from(visible) * 6 + pictures.tiles * 16;
-    guess.max(LEAST_INSTANCES.into()).min(max_trained_instances(limits).into()) as u32
+    guess.max(MIN_INSTANCES.into()).min(max_trained_instances(limits).into()) as u32
 }
 
 /// Lower bound of the estimate of a frame's instances.
-pub const LEAST_INSTANCES: u32 = 1 << 12;
+pub const MIN_INSTANCES: u32 = 1 << 12;
 
 /// Returns the most instances of a training step's frame, as the limits of a binding and a grid allow.
 pub fn max_trained_instances(limits: &Limits) -> u32 {
     let axis = u64::from(limits.max_workgroups_per_axis);
     let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
-    let most = (bytes / INSTANCE_BYTES).min(axis * axis * u64::from(LaunchSizes::new(limits).smallest()));
-    most.clamp(1, u32::MAX.into()) as u32
+    let max = (bytes / INSTANCE_BYTES).min(axis * axis * u64::from(LaunchSizes::new(limits).smallest()));
+    max.clamp(1, u32::MAX.into()) as u32
 }
 
 /// Returns the most Gaussians that can be trained on a device: their gradients are in one buffer.
@@ -280,8 +280,8 @@ pub const fn gaussians_with(capacity: u32, frozen: u32) -> u32 {
 /// Returns the most Gaussians that can be trained on a device beside `frozen` neighbours.
 pub fn max_trained_among(limits: &Limits, frozen: u32) -> u32 {
     match (max_trained_gaussians(limits), frozen) {
-        (most, 0) => most,
-        (most, _) => most.saturating_sub(frozen) / ELEMENTWISE_WORKGROUP * ELEMENTWISE_WORKGROUP,
+        (max, 0) => max,
+        (max, _) => max.saturating_sub(frozen) / ELEMENTWISE_WORKGROUP * ELEMENTWISE_WORKGROUP,
     }
 }
 

@@ -232,8 +232,7 @@ fn exact_step(values: &[f32]) -> Option<f32> {
 
 /// A step for values of which some are rounded. Ones that are not finite do not count.
 fn rounded_step(values: &[f32]) -> f32 {
-    values.iter().filter(|value| value.is_finite()).fold(0.0, |most: f32, value| most.max(value.abs()))
-        / 127.0
+    values.iter().filter(|value| value.is_finite()).fold(0.0, |max: f32, value| max.max(value.abs())) / 127.0
 }
 
 /// The nearest finite half.

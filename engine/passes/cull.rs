@@ -1,7 +1,7 @@
 //! Culling: flags the visible Gaussians of all scenes and compacts them, in their order. It runs the same projection as
 //! [`Project`](super::project::Project), for the visibility only.
 
-use super::scan::{Counted, Scan};
+use super::scan::{DeviceCount, Scan};
 use crate::error::Result;
 use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes, ShStorage};
 use crate::kernels::constants as c;
@@ -161,7 +161,7 @@ impl Cull {
         let (count, block) = (inputs.index_count(), self.sizes.elementwise_workgroup);
         let culled_blocks = count.div_ceil(block);
         // The scan turns the counts into offsets, in place.
-        let counted = Counted {
+        let counted = DeviceCount {
             frame: f,
             count: c::STATE_VISIBLE_NEEDED,
             capacity: inputs.capacity.visible,

@@ -255,9 +255,9 @@ impl Densify {
         r.barrier();
     }
 
-    /// Records an opacity reset: opacities above `most` become `most`, between 0 and 1.
-    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, most: f64) {
-        let max_logit = (most / (1.0 - most)).ln() as f32;
+    /// Records an opacity reset: opacities above `max_opacity` become `max_opacity`, between 0 and 1.
+    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, max_opacity: f64) {
+        let max_logit = (max_opacity / (1.0 - max_opacity)).ln() as f32;
         r.scope("reset opacity", |r| {
             for range in scene.plan.ranges(scene.count) {
                 let [moments_1, moments_2] = moments.chunk(range.chunk);
@@ -265,7 +265,7 @@ impl Densify {
                     reset_opacity::Bind { parameters: &scene.chunks[range.chunk], moments_1, moments_2 };
                 let push = reset_opacity::Push {
                     count: range.count,
-                    max_opacity: most as f32,
+                    max_opacity: max_opacity as f32,
                     max_logit,
                     packed_moments: moments.packed.into(),
                 };

@@ -116,8 +116,8 @@ fn shown(camera: &Camera) -> [[f32; 2]; 2] {
     }
     let (rays, [width, height]) = (camera.photo_lens().rays(), [camera.width, camera.height].map(f64::from));
     let corners = [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]];
-    let least = corners.map(|corner| rays(corner.into()).map_or(-1.0, |ray| ray.z));
+    let cosines = corners.map(|corner| rays(corner.into()).map_or(-1.0, |ray| ray.z));
     // A panorama's corners are its poles.
-    let cosine = if camera.projection.has_seam() { -1.0 } else { least.into_iter().fold(1.0, f64::min) };
+    let cosine = if camera.projection.has_seam() { -1.0 } else { cosines.into_iter().fold(1.0, f64::min) };
     [[1.0, -1.0], [cosine as f32, 0.0]]
 }

@@ -4,7 +4,7 @@
 //! The visible Gaussians are sorted by depth before they are duplicated to instances. Only the instances' tile bits then remain
 //! to be sorted, stably, and the order is that of the paper's 64-bit (tile | depth) key.
 
-use super::scan::{Counted, Scan, Workgroups};
+use super::scan::{DeviceCount, Scan, Workgroups};
 use super::sort::{RadixSort, SortBuffers, Values};
 use crate::error::Result;
 use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, bits_of_tiles, tile_grid};
@@ -103,7 +103,7 @@ impl Instances {
         let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SCAN);
         r.dispatch_indirect(&self.count, &bind, &count::Push {}, &at);
         r.barrier();
-        let counted = Counted {
+        let counted = DeviceCount {
             frame: f,
             count: c::STATE_INSTANCES_NEEDED,
             capacity: inputs.capacity.instances,

@@ -25,10 +25,10 @@ use std::ops::Range;
 const ROWS: u32 = 4;
 const WORKGROUP: u32 = 128;
 /// Maximum bytes of all maps. Larger bands are not faster.
-const MOST_BYTES: u64 = 256 << 20;
+const MAX_BYTES: u64 = 256 << 20;
 /// Maximum number of multiplications in a dispatch. It takes a fraction of a second on slow devices, so that no watchdog or
 /// timeout ends it.
-const MOST_WORK: u64 = 1 << 32;
+const MAX_WORK: u64 = 1 << 32;
 /// Mean and standard deviation of the networks' training pictures, with values from -1 to 1.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
@@ -308,16 +308,16 @@ impl Lpips {
         let binding = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
         let taken = context.memory_total().bytes;
         let bound = context.memory_limit().map(|(bytes, name)| (bytes.saturating_sub(taken), name));
-        let most = bound.map_or(MOST_BYTES, |(bytes, _)| bytes.min(MOST_BYTES));
+        let max = bound.map_or(MAX_BYTES, |(bytes, _)| bytes.min(MAX_BYTES));
         let mut band = size.1;
         loop {
             let bands = Bands::new(self.network, size, band);
             let requests = self.requests(&bands);
             let needed = context.allocation_bytes(&requests)
-                + context.staging_bytes(bands.largest()).max(context.least_ring());
+                + context.staging_bytes(bands.largest()).max(context.min_ring());
             let binds = bands.largest() <= binding;
-            let axis = bands.most_grid(self.workgroup) <= limits.max_workgroups_per_axis;
-            if binds && axis && (band == 1 || needed <= most && bands.most_work(self.network) <= MOST_WORK) {
+            let axis = bands.max_grid(self.workgroup) <= limits.max_workgroups_per_axis;
+            if binds && axis && (band == 1 || needed <= max && bands.max_work(self.network) <= MAX_WORK) {
                 return self.allocate_bands(size, bands, &requests);
             }
             if band == 1 {
@@ -333,7 +333,7 @@ impl Lpips {
     fn requests(&self, bands: &Bands) -> Vec<(&'static str, u64)> {
         let maps = bands.maps.iter().map(|map| ("features", map.bytes()));
         let differences = self.taps().map(|map| {
-            let values = u64::from(bands.most_rows(map)) * u64::from(bands.maps[map].width);
+            let values = u64::from(bands.max_rows(map)) * u64::from(bands.maps[map].width);
             ("differences", 4 * values)
         });
         maps.chain(differences).collect()

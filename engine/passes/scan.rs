@@ -43,7 +43,7 @@ pub struct ScanBuffers<'a> {
 /// A count of a frame that only the device knows, and its capacity. The scan clamps it, and writes the arguments of the indirect
 /// dispatches over it.
 #[derive(Clone, Copy)]
-pub(crate) struct Counted<'a> {
+pub(crate) struct DeviceCount<'a> {
     pub frame: &'a FrameBuffers,
     /// Index of the count in the frame's state (STATE_*). The clamped one follows.
     pub count: u32,
@@ -148,9 +148,9 @@ impl Scan {
         block_sums: &Buffer,
         totals: &Buffer,
         push: scan_spine::Push,
-        counted: Option<Counted>,
+        counted: Option<DeviceCount>,
     ) {
-        let Some(Counted { frame, capacity, first_argument, caller_block, keeps_overflow, .. }) = counted
+        let Some(DeviceCount { frame, capacity, first_argument, caller_block, keeps_overflow, .. }) = counted
         else {
             // The plain kernel does not write this binding.
             let bind = scan_spine::Bind { block_sums, totals, arguments: totals };
@@ -169,7 +169,7 @@ impl Scan {
         r: &mut Recorder,
         block_sums: &Buffer,
         blocks: Option<u32>,
-        counted: Counted,
+        counted: DeviceCount,
     ) {
         let (count, from_totals, block_size) = match blocks {
             Some(blocks) => (blocks, 0, 1),

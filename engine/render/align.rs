@@ -1,7 +1,7 @@
 //! Moves a camera until the picture of a fixed scene agrees with a photograph.
 
 use super::renderer::Renderer;
-use super::runner::{Failed, Request};
+use super::runner::{Request, RunError};
 use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, RenderSettings};
 use crate::passes::adam::{BETA_1, BETA_2};
@@ -164,7 +164,7 @@ impl Renderer {
                 r.barrier();
                 pose_gradient.record(r, inputs, parameters, 0, gradient);
             });
-            ran.map_err(Failed::error)?;
+            ran.map_err(RunError::error)?;
             let bytes = self.context.download(&gradient.range(0, GRADIENT_BYTES / 2))?;
             let g: [f32; 6] = bytemuck::pod_read_unaligned(&bytes);
             if g.iter().all(|x| x.is_finite()) {

@@ -3,7 +3,7 @@
 use super::frame::BlendSamples;
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameBuffers, FrameCapacity, FrameVariant, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity,
+    FrameBuffers, FrameCapacity, FrameVariant, LaunchSizes, MIN_INSTANCES, MIN_VISIBLE, PictureCapacity,
     check_grids, initial_instances, initial_visible,
 };
 use crate::kernels::constants as c;
@@ -164,9 +164,9 @@ impl FrameStore {
         // The estimates may be what does not fit, and the frame may need less. If it needs more, it overflows.
         let smaller = |capacity: &FrameCapacity| {
             let FrameCapacity { visible, instances, .. } = *capacity;
-            (visible > LEAST_VISIBLE || instances > LEAST_INSTANCES).then(|| FrameCapacity {
-                visible: (visible / 4).max(visible.min(LEAST_VISIBLE)),
-                instances: (instances / 4).max(LEAST_INSTANCES),
+            (visible > MIN_VISIBLE || instances > MIN_INSTANCES).then(|| FrameCapacity {
+                visible: (visible / 4).max(visible.min(MIN_VISIBLE)),
+                instances: (instances / 4).max(MIN_INSTANCES),
                 ..*capacity
             })
         };
@@ -274,13 +274,13 @@ impl FrameStore {
 
     /// Raises the capacity to at least these numbers of visible Gaussians and of instances.
     pub fn set_at_least(&mut self, visible: u32, instances: u32) {
-        let least = FrameCapacity {
+        let minimum = FrameCapacity {
             visible: visible.max(self.capacity.visible),
             instances: instances.max(self.capacity.instances),
             ..self.capacity
         };
-        if least != self.capacity {
-            self.capacity = least;
+        if minimum != self.capacity {
+            self.capacity = minimum;
             self.frame = None;
         }
     }

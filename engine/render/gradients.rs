@@ -1,7 +1,7 @@
 //! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
 
 use super::renderer::Renderer;
-use super::runner::{Failed, Request};
+use super::runner::{Request, RunError};
 use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, LENS_SUM_BYTES, RenderSettings, SceneBuffers, ShStorage, planes};
 use crate::passes::backward::{BackwardForm, Statistics};
@@ -148,7 +148,7 @@ impl Renderer {
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, mean2d);
         });
-        ran.map_err(Failed::error)?;
+        ran.map_err(RunError::error)?;
         let parameters = planes::download(&self.context, &SceneBuffers { chunks: planes, ..scene })?;
         let bytes = self.context.download(mean2d)?;
         let mut mean2d_px: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&bytes);

@@ -31,5 +31,5 @@ pub use recorded_frame::{
 };
 pub use renderer::Renderer;
 pub use reservation::{Reservation, SlotReport};
-pub(crate) use runner::{Failed, FrameRun, FrameRunner, Request, frozen_capacity};
+pub(crate) use runner::{FrameRun, FrameRunner, Request, RunError, frozen_capacity};
 pub use updates::Update;

@@ -252,8 +252,8 @@ impl Renderer {
     ///
     /// # Errors
     /// Errors of [`Renderer::reserve`] and [`Renderer::record`]; [`Error::Argument`] for a host's device without a queue.
-    pub fn reserve_for(&mut self, wanted: &Reservation, frame: &RecordedFrame<'_>) -> Result<Reservation> {
-        let mut reserved = *wanted;
+    pub fn reserve_for(&mut self, request: &Reservation, frame: &RecordedFrame<'_>) -> Result<Reservation> {
+        let mut reserved = *request;
         self.reserve(&reserved)?;
         loop {
             let report = self.count(frame, &reserved)?;

@@ -4,7 +4,7 @@ use super::device_scene::{DeviceScene, ELSEWHERE};
 use super::frame::{Frame, FrameStats, Surface};
 use super::frame_store::FrameCounts;
 use super::recording_lists::RecordingLists;
-use super::runner::{Failed, FrameRun, FrameRunner, Request};
+use super::runner::{FrameRun, FrameRunner, Request, RunError};
 use super::slots::Slots;
 use super::updates::StagedUpdates;
 use crate::error::{Error, Result};
@@ -105,10 +105,10 @@ impl Renderer {
             return Err(Error::argument(format!("scenes[{index}]"), ELSEWHERE));
         }
         let degrees = scenes.iter().map(|scene| scene.plan().sh_degree);
-        if let (Some(least), Some(most)) = (degrees.clone().min(), degrees.max())
-            && least < most
+        if let (Some(min), Some(max)) = (degrees.clone().min(), degrees.max())
+            && min < max
         {
-            let problem = format!("one has SH degree {least}, another {most}: store all with the same");
+            let problem = format!("one has SH degree {min}, another {max}: store all with the same");
             return Err(Error::argument("scenes", problem));
         }
         let filled = scenes.iter().filter(|scene| scene.count() > 0);
@@ -305,7 +305,7 @@ impl Renderer {
         let (scene, other_scenes) = loaded(&self.scenes)?;
         let alone = Request::new(scene, camera, settings, false);
         let request = Request { other_scenes, of_scenes: own, last_entries, ..alone };
-        let ran = self.runner.run(&request, |_, _| {}).map_err(Failed::error)?;
+        let ran = self.runner.run(&request, |_, _| {}).map_err(RunError::error)?;
         let FrameRun { counts, report, retries } = ran;
         let FrameCounts { visible, instances, longest_tile, samples, .. } = counts;
         let gaussians = self.scenes.iter().map(|scene| scene.count).sum();

@@ -2,8 +2,8 @@
 
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, Outputs, PictureCapacity, ScenePlan,
-    SceneSettings, ShStorage, SurfaceDepth, check_grids, initial_instances, may_order_by_distance,
+    FrameCapacity, FrameVariant, LaunchSizes, MIN_SCENES, Outputs, PictureCapacity, ScenePlan, SceneSettings,
+    ShStorage, SurfaceDepth, check_grids, initial_instances, may_order_by_distance,
 };
 use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
@@ -128,14 +128,14 @@ impl Reservation {
 
     /// True if frames may have enough scenes for batches, which one dispatch draws.
     pub(super) fn has_batches(&self) -> bool {
-        self.scenes >= LEAST_SCENES
+        self.scenes >= MIN_SCENES
     }
 
     pub(super) fn check(&self) -> Result<()> {
         let sides = 1..=crate::scene::camera::MAX_IMAGE_SIDE;
         if !sides.contains(&self.width) || !sides.contains(&self.height) {
-            let (width, height, most) = (self.width, self.height, sides.end());
-            let problem = format!("width and height are {width} x {height}, each may be 1 to {most}");
+            let (width, height, max) = (self.width, self.height, sides.end());
+            let problem = format!("width and height are {width} x {height}, each may be 1 to {max}");
             return Err(Error::argument("reservation", problem));
         }
         // The upper bounds exceed what any device can hold.

@@ -17,8 +17,8 @@ impl Renderer {
     /// [`Error::Argument`] for an invalid reservation or while a slot is in flight. [`Error::TooLarge`] if the reservation
     /// exceeds the device; it names the field. Memory or device failures. The slots stay as before, except after a lack of
     /// device or host memory: then none is reserved.
-    pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
-        self.reserve_by(wanted, None)
+    pub fn reserve(&mut self, reservation: &Reservation) -> Result<()> {
+        self.reserve_by(reservation, None)
     }
 
     /// Same as [`Renderer::reserve`], but all device memory comes from one block of the host ([`Buffer::adopt`]), of at
@@ -28,17 +28,17 @@ impl Renderer {
     ///
     /// # Errors
     /// Same as [`Renderer::reserve`]; also for a block of another context, or one that is too small.
-    pub fn reserve_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
-        self.reserve_by(wanted, Some(block))
+    pub fn reserve_in(&mut self, reservation: &Reservation, block: &Buffer) -> Result<()> {
+        self.reserve_by(reservation, Some(block))
     }
 
-    fn reserve_by(&mut self, wanted: &Reservation, block: Option<&Buffer>) -> Result<()> {
+    fn reserve_by(&mut self, reservation: &Reservation, block: Option<&Buffer>) -> Result<()> {
         // Refuses before kernels are built, which may take seconds.
-        wanted.check()?;
+        reservation.check()?;
         self.slots.check_free()?;
         let context = self.context.clone();
-        let layout = SlotLayout::new(&context, &self.runner.forward.sizes, wanted, block)?;
-        self.prepare(wanted)?;
+        let layout = SlotLayout::new(&context, &self.runner.forward.sizes, reservation, block)?;
+        self.prepare(reservation)?;
         self.slots.reserve(&layout)
     }
 
@@ -49,8 +49,8 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of slots or views. The slots
     /// then stay as before.
-    pub fn grow(&mut self, wanted: &Reservation) -> Result<()> {
-        self.grow_by(wanted, None)
+    pub fn grow(&mut self, reservation: &Reservation) -> Result<()> {
+        self.grow_by(reservation, None)
     }
 
     /// Same as [`Renderer::grow`], but in a block of the host, as for [`Renderer::reserve_in`]. The old block is unused
@@ -58,19 +58,19 @@ impl Renderer {
     ///
     /// # Errors
     /// Same as [`Renderer::grow`] and [`Renderer::reserve_in`].
-    pub fn grow_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
-        self.grow_by(wanted, Some(block))
+    pub fn grow_in(&mut self, reservation: &Reservation, block: &Buffer) -> Result<()> {
+        self.grow_by(reservation, Some(block))
     }
 
-    fn grow_by(&mut self, wanted: &Reservation, block: Option<&Buffer>) -> Result<()> {
-        wanted.check()?;
-        self.slots.check_growth(wanted)?;
-        if block.is_none() && self.slots.reserved == Some(*wanted) {
-            return self.prepare(wanted);
+    fn grow_by(&mut self, reservation: &Reservation, block: Option<&Buffer>) -> Result<()> {
+        reservation.check()?;
+        self.slots.check_growth(reservation)?;
+        if block.is_none() && self.slots.reserved == Some(*reservation) {
+            return self.prepare(reservation);
         }
         let context = self.context.clone();
-        let layout = SlotLayout::new(&context, &self.runner.forward.sizes, wanted, block)?;
-        self.prepare(wanted)?;
+        let layout = SlotLayout::new(&context, &self.runner.forward.sizes, reservation, block)?;
+        self.prepare(reservation)?;
         self.slots.grow(&layout)
     }
 
@@ -78,8 +78,8 @@ impl Renderer {
     ///
     /// # Errors
     /// Same as [`Renderer::reserve`], without allocating anything.
-    pub fn reservation_bytes(&self, wanted: &Reservation) -> Result<u64> {
-        let layout = SlotLayout::new(&self.context, &self.runner.forward.sizes, wanted, None)?;
+    pub fn reservation_bytes(&self, reservation: &Reservation) -> Result<u64> {
+        let layout = SlotLayout::new(&self.context, &self.runner.forward.sizes, reservation, None)?;
         Ok(layout.block_bytes())
     }
 
@@ -88,21 +88,21 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid reservation; [`Error::TooLarge`] for kernels that exceed the device.
-    pub fn kernel_jobs(context: &Context, wanted: &Reservation) -> Result<Vec<KernelJob>> {
-        wanted.check()?;
+    pub fn kernel_jobs(context: &Context, reservation: &Reservation) -> Result<Vec<KernelJob>> {
+        reservation.check()?;
         context.kernel_jobs(|context| {
-            prepare_frames(&mut Forward::new(context)?, wanted)?;
-            Compose::new(context)?.prepare(context, wanted.outputs())
+            prepare_frames(&mut Forward::new(context)?, reservation)?;
+            Compose::new(context)?.prepare(context, reservation.outputs())
         })
     }
 
-    fn prepare(&mut self, wanted: &Reservation) -> Result<()> {
+    fn prepare(&mut self, reservation: &Reservation) -> Result<()> {
         let compose = match &mut self.compose {
             Some(compose) => compose,
             none => none.insert(Compose::new(&self.context)?),
         };
-        compose.prepare(&self.context, wanted.outputs())?;
-        prepare_frames(&mut self.runner.forward, wanted)?;
+        compose.prepare(&self.context, reservation.outputs())?;
+        prepare_frames(&mut self.runner.forward, reservation)?;
         self.slots.blending = self.blending();
         Ok(())
     }
@@ -184,11 +184,11 @@ impl Renderer {
     }
 }
 
-fn prepare_frames(forward: &mut Forward, wanted: &Reservation) -> Result<()> {
-    for variant in wanted.scene_variants() {
-        for sh_degree in 0..=wanted.sh_degree.min(3) {
-            forward.prepare_scenes(sh_degree, variant, wanted.has_batches())?;
+fn prepare_frames(forward: &mut Forward, reservation: &Reservation) -> Result<()> {
+    for variant in reservation.scene_variants() {
+        for sh_degree in 0..=reservation.sh_degree.min(3) {
+            forward.prepare_scenes(sh_degree, variant, reservation.has_batches())?;
         }
     }
-    wanted.blend_variants().into_iter().try_for_each(|variant| forward.prepare_blend(variant))
+    reservation.blend_variants().into_iter().try_for_each(|variant| forward.prepare_blend(variant))
 }

@@ -99,7 +99,7 @@ pub(crate) struct FrameRun {
 }
 
 /// Error of [`FrameRunner::run`].
-pub(crate) enum Failed {
+pub(crate) enum RunError {
     /// The frame exceeds the available memory.
     OutOfMemory {
         counts: Box<FrameCounts>,
@@ -108,13 +108,13 @@ pub(crate) enum Failed {
     Other(Error),
 }
 
-impl From<Error> for Failed {
+impl From<Error> for RunError {
     fn from(error: Error) -> Self {
         Self::Other(error)
     }
 }
 
-impl Failed {
+impl RunError {
     pub fn error(self) -> Error {
         match self {
             Self::OutOfMemory { error, .. } | Self::Other(error) => error,
@@ -135,7 +135,7 @@ impl FrameRunner {
         &mut self,
         request: &Request,
         mut record_more: impl FnMut(&mut Recorder, &FrameInputs),
-    ) -> Result<FrameRun, Failed> {
+    ) -> Result<FrameRun, RunError> {
         let Request { scene, other_scenes, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
         if backward {
@@ -166,7 +166,7 @@ impl FrameRunner {
             // Growing frees its buffers before it allocates larger ones.
             drop(memory);
             let grown = store.grow(&counts);
-            if !grown.map_err(|error| Failed::OutOfMemory { counts: Box::new(counts), error })? {
+            if !grown.map_err(|error| RunError::OutOfMemory { counts: Box::new(counts), error })? {
                 return Ok(FrameRun { counts, report, retries });
             }
             retries += 1;

@@ -58,21 +58,22 @@ impl Slots {
         for memory in layout.allocate()? {
             self.slots.push(Slot::new(layout, memory)?);
         }
-        self.reserved = Some(*layout.wanted);
+        self.reserved = Some(*layout.reservation);
         Ok(())
     }
 
     /// Returns an error for a reservation to which the current one cannot grow.
-    pub fn check_growth(&self, wanted: &Reservation) -> Result<()> {
+    pub fn check_growth(&self, reservation: &Reservation) -> Result<()> {
         let Some(reserved) = self.reserved else {
             let problem = "none are reserved that could grow: call Renderer::reserve";
             return Err(Error::argument("slots", problem));
         };
-        let kept = [("slots", wanted.slots, reserved.slots), ("views", wanted.views, reserved.views)];
-        match kept.into_iter().find(|(_, wanted, reserved)| wanted != reserved) {
-            Some((field, wanted, reserved)) => {
+        let kept =
+            [("slots", reservation.slots, reserved.slots), ("views", reservation.views, reserved.views)];
+        match kept.into_iter().find(|(_, reservation, reserved)| reservation != reserved) {
+            Some((field, reservation, reserved)) => {
                 let problem =
-                    format!("{field} is {wanted}, {reserved} are reserved: growth keeps their number");
+                    format!("{field} is {reservation}, {reserved} are reserved: growth keeps their number");
                 Err(Error::argument("reservation", problem))
             }
             None => Ok(()),
@@ -88,7 +89,7 @@ impl Slots {
         for (slot, memory) in self.slots.iter_mut().zip(memory) {
             slot.next = Some(memory);
         }
-        self.reserved = Some(*layout.wanted);
+        self.reserved = Some(*layout.reservation);
         Ok(())
     }
 
@@ -103,7 +104,7 @@ impl Slots {
 
 impl Slot {
     fn new(layout: &SlotLayout<'_>, memory: SlotMemory) -> Result<Self> {
-        let request = [("state_readback", u64::from(layout.wanted.views) * STATE_BYTES)];
+        let request = [("state_readback", u64::from(layout.reservation.views) * STATE_BYTES)];
         let mut host = layout.context.allocate("frame slot host", &request, MemoryKind::HostVisible)?;
         let recording = RecordSlot::new(layout.context, layout.dispatches)?;
         let host_report = memory.report(0);
@@ -216,7 +217,7 @@ impl SlotMemory {
 /// Requests of a reservation, in a host's block if there is one.
 pub(super) struct SlotLayout<'a> {
     pub context: &'a Context,
-    pub wanted: &'a Reservation,
+    pub reservation: &'a Reservation,
     block: Option<&'a Buffer>,
     /// Most dispatches of a recording.
     pub dispatches: usize,
@@ -234,29 +235,30 @@ impl<'a> SlotLayout<'a> {
     pub fn new(
         context: &'a Context,
         sizes: &LaunchSizes,
-        wanted: &'a Reservation,
+        reservation: &'a Reservation,
         block: Option<&'a Buffer>,
     ) -> Result<Self> {
-        wanted.check()?;
-        let capacity = wanted.capacity(context, sizes)?;
+        reservation.check()?;
+        let capacity = reservation.capacity(context, sizes)?;
         let count = capacity.pictures.pixels;
         let mut pixels = Vec::new();
-        if !wanted.images_only {
+        if !reservation.images_only {
             pixels.push(("accumulated", count * 16));
-            pixels.extend(wanted.keeps_depth().then_some(("depth_sums", count * 4)));
+            pixels.extend(reservation.keeps_depth().then_some(("depth_sums", count * 4)));
         }
         // Pixels that stay while another slot's frame runs share no memory.
-        let stays = |name| wanted.slots > wanted.queues && pixels.iter().any(|(pixels, _)| *pixels == name);
-        let scratch = scratch_requests(wanted, &capacity, sizes);
+        let stays =
+            |name| reservation.slots > reservation.queues && pixels.iter().any(|(pixels, _)| *pixels == name);
+        let scratch = scratch_requests(reservation, &capacity, sizes);
         debug_assert!(pixels.iter().all(|(name, _)| scratch.iter().any(|(own, _)| own == name)));
         let lives = scratch.iter().zip(FrameBuffers::LIVES);
         let scratch_lives =
             lives.map(|((name, _), life)| if stays(*name) { Life::ALWAYS } else { *life }).collect();
         let layout = Self {
             context,
-            wanted,
+            reservation,
             block,
-            dispatches: wanted.dispatches(context, &capacity)?,
+            dispatches: reservation.dispatches(context, &capacity)?,
             capacity,
             scratch,
             scratch_lives,
@@ -271,13 +273,13 @@ impl<'a> SlotLayout<'a> {
     /// Refuses a buffer that kernels cannot bind, and names the field that makes it too large. Runs before any memory is
     /// freed.
     fn check_bindings(&self, sizes: &LaunchSizes) -> Result<()> {
-        let Self { wanted, capacity, .. } = self;
+        let Self { reservation, capacity, .. } = self;
         let limit = self.context.limits().max_storage_buffer_range;
         let too_large = |what: String, needed| {
             Err(Error::too_large(what, (needed, "bytes"), (limit, "maxStorageBufferRange")))
         };
-        if wanted.staging_bytes > limit {
-            return too_large(field_name("staging_bytes"), wanted.staging_bytes);
+        if reservation.staging_bytes > limit {
+            return too_large(field_name("staging_bytes"), reservation.staging_bytes);
         }
         let Some(place) = self.scratch.iter().position(|(_, bytes)| *bytes > limit) else { return Ok(()) };
         let (name, needed) = self.scratch[place];
@@ -292,16 +294,16 @@ impl<'a> SlotLayout<'a> {
             ("gaussians", FrameCapacity { gaussians: 1, visible: 1, ..*capacity }),
             ("scenes, views", FrameCapacity { scenes: 1, ..*capacity }),
         ];
-        let bytes = |(_, less): &(_, FrameCapacity)| scratch_requests(wanted, less, sizes)[place].1;
+        let bytes = |(_, less): &(_, FrameCapacity)| scratch_requests(reservation, less, sizes)[place].1;
         let field = without.iter().min_by_key(|less| bytes(less)).map_or("gaussians", |(field, _)| field);
         too_large(format!("{}: buffer '{name}'", field_name(field)), needed)
     }
 
     /// Returns the groups to allocate, in order, with the lives of their buffers.
     fn groups(&self) -> impl Iterator<Item = (&Requests, &[Life])> {
-        let wanted = self.wanted;
-        let queues = wanted.queues.min(wanted.slots);
-        let own = if self.pixels.is_empty() { 0 } else { wanted.slots - queues };
+        let reservation = self.reservation;
+        let queues = reservation.queues.min(reservation.slots);
+        let own = if self.pixels.is_empty() { 0 } else { reservation.slots - queues };
         let scratch = std::iter::repeat_n((&self.scratch, &self.scratch_lives[..]), queues as usize);
         scratch.chain(std::iter::repeat_n((&self.pixels, &[][..]), own as usize))
     }
@@ -313,7 +315,7 @@ impl<'a> SlotLayout<'a> {
 
     /// Allocates the memory of all slots.
     pub fn allocate(&self) -> Result<Vec<SlotMemory>> {
-        let Self { context, wanted, block, .. } = *self;
+        let Self { context, reservation, block, .. } = *self;
         let mut at = 0;
         let mut groups = Vec::new();
         for (requests, lives) in self.groups() {
@@ -330,9 +332,9 @@ impl<'a> SlotLayout<'a> {
             });
         }
         let mut groups = groups.into_iter();
-        let queues = wanted.queues.min(wanted.slots) as usize;
+        let queues = reservation.queues.min(reservation.slots) as usize;
         let mut memory: Vec<SlotMemory> = Vec::new();
-        for slot in 0..wanted.slots as usize {
+        for slot in 0..reservation.slots as usize {
             let mut own = if slot < queues {
                 self.scratch_of(groups.next().unwrap_or_default())
             } else {
@@ -344,8 +346,8 @@ impl<'a> SlotLayout<'a> {
                 }
                 own
             };
-            if wanted.staging_bytes > 0 {
-                let request = [("scene_updates", wanted.staging_bytes)];
+            if reservation.staging_bytes > 0 {
+                let request = [("scene_updates", reservation.staging_bytes)];
                 own.staging = context.allocate("frame slot host", &request, MemoryKind::HostVisible)?.pop();
             }
             memory.push(own);
@@ -355,27 +357,29 @@ impl<'a> SlotLayout<'a> {
 
     /// Assigns the buffers of [`SlotLayout::scratch`].
     fn scratch_of(&self, mut buffers: std::vec::IntoIter<Buffer>) -> SlotMemory {
-        let wanted = self.wanted;
+        let reservation = self.reservation;
         let frame = FrameBuffers::from_allocated(buffers.by_ref().take(self.frame_requests).collect());
         let mut next = |reserved: bool| reserved.then(|| buffers.next()).flatten();
         SlotMemory {
             frame,
             capacity: self.capacity,
-            depth_limits: next(wanted.occlusion),
-            cut_outs: next(wanted.cut_outs > 0),
+            depth_limits: next(reservation.occlusion),
+            cut_outs: next(reservation.cut_outs > 0),
             staging: None,
-            keeps_pixels: !wanted.images_only,
-            keeps_depth: wanted.keeps_depth(),
+            keeps_pixels: !reservation.images_only,
+            keeps_depth: reservation.keeps_depth(),
         }
     }
 }
 
 /// Returns the scratch requests of a frame of this capacity; those of [`FrameBuffers::requests`] come first.
-fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Requests {
+fn scratch_requests(reservation: &Reservation, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Requests {
     let pixels = capacity.pictures.pixels;
     let mut scratch = FrameBuffers::requests(capacity, sizes);
-    scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
-    scratch.extend((wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)));
+    scratch.extend(reservation.occlusion.then_some(("depth_limits", pixels * 4)));
+    scratch.extend(
+        (reservation.cut_outs > 0).then_some(("cut_outs", u64::from(reservation.cut_outs) * CUT_OUT_BYTES)),
+    );
     scratch
 }
 

@@ -35,7 +35,7 @@ impl Exposure {
 
 /// Vignetting and response of a camera, per channel. A colour `x`, as in photographs (sRGB, 0 to 1), becomes
 /// `(x (1 + a₁ r² + a₂ r⁴ + a₃ r⁶))^γ`. r is the distance from the principal point in halves of the picture's diagonal. Below
-/// [`LensEffects::LEAST`] the response is a straight line from 0. Nothing is clamped. After PPISP (NVIDIA 2025), which has
+/// [`LensEffects::MIN`] the response is a straight line from 0. Nothing is clamped. After PPISP (NVIDIA 2025), which has
 /// these besides exposures.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LensEffects {
@@ -45,7 +45,7 @@ pub struct LensEffects {
 
 impl LensEffects {
     /// Limit below which the response is a straight line.
-    pub const LEAST: f32 = 1.0 / 1024.0;
+    pub const MIN: f32 = 1.0 / 1024.0;
 
     /// Vignetting factor of a channel at a squared distance from the principal point.
     pub fn vignetting(&self, channel: usize, r2: f32) -> f32 {
@@ -63,7 +63,7 @@ impl LensEffects {
         let gamma = self.response();
         [0, 1, 2].map(|c| {
             let t = color[c] * self.vignetting(c, r2);
-            t * t.max(Self::LEAST).powf(gamma[c] - 1.0)
+            t * t.max(Self::MIN).powf(gamma[c] - 1.0)
         })
     }
 
@@ -76,7 +76,7 @@ impl LensEffects {
     /// Beyond the photograph's corners the vignetting stays constant.
     pub fn apply_as_taken(&self, taken: &Camera, camera: &Camera, picture: &mut [[f32; 3]]) {
         let plane = LensPlane::of(&taken.whole());
-        let most = plane.corner();
+        let max_r2 = plane.corner();
         let scale = [taken.fx / camera.fx, taken.fy / camera.fy];
         let width = camera.width.max(1) as usize;
         let is_other = camera.projection != taken.projection || camera.coefficients != taken.coefficients;
@@ -91,7 +91,7 @@ impl LensEffects {
                 },
             };
             let r2 = (x * x + y * y) * plane.inverse_square;
-            *color = self.of(*color, r2.min(most));
+            *color = self.of(*color, r2.min(max_r2));
         }
     }
 }

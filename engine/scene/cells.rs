@@ -48,15 +48,15 @@ impl Cells {
     /// The only cell of an undivided space.
     pub const EVERYTHING: Bounds = Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY };
 
-    /// Divides space until no cell has more than `most` of the points (x, y, z; world units). A cell is split at the median of
+    /// Divides space until no cell has more than `max_gaussians` of the points (x, y, z; world units). A cell is split at the median of
     /// its longest axis; lengths exclude the outermost twentieths of its points. The cells do not depend on the order of the
     /// points.
     ///
     /// # Errors
-    /// [`Error::Argument`] without points, for points that are not finite, for `most` of 0, and if more than `most` points
+    /// [`Error::Argument`] without points, for points that are not finite, for `max_gaussians` of 0, and if more than `max_gaussians` points
     /// coincide.
-    pub fn divide(points: &[[f32; 3]], most: usize) -> Result<Self> {
-        if most == 0 || points.is_empty() {
+    pub fn divide(points: &[[f32; 3]], max_gaussians: usize) -> Result<Self> {
+        if max_gaussians == 0 || points.is_empty() {
             return Err(Error::argument("cells", "a cell needs one Gaussian at least"));
         }
         if let Some(index) = points.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
@@ -64,28 +64,29 @@ impl Cells {
         }
         let mut points: Vec<Vec3> = points.iter().copied().map(Vec3::from_array).collect();
         let mut cells = Self { bounds: Vec::new(), nodes: Vec::new() };
-        cells.halve(&mut points, Self::EVERYTHING, most)?;
+        cells.halve(&mut points, Self::EVERYTHING, max_gaussians)?;
         Ok(cells)
     }
 
     /// Adds the cells of a box and the node above them. Returns the node.
-    fn halve(&mut self, points: &mut [Vec3], within: Bounds, most: usize) -> Result<usize> {
+    fn halve(&mut self, points: &mut [Vec3], within: Bounds, max_gaussians: usize) -> Result<usize> {
         let node = self.nodes.len();
         self.nodes.push(Node::Leaf(self.bounds.len()));
-        if points.len() <= most {
+        if points.len() <= max_gaussians {
             self.bounds.push(within);
             return Ok(node);
         }
         let Some((axis, at)) = median(points) else {
             let (count, place) = (points.len(), points[0]);
-            let problem = format!("{count} Gaussians are at {place}: no cell can have {most} of them");
+            let problem =
+                format!("{count} Gaussians are at {place}: no cell can have {max_gaussians} of them");
             return Err(Error::argument("cells", problem));
         };
         // The order within a side does not matter, because only medians are used.
         points.sort_unstable_by(|a, b| a[axis].total_cmp(&b[axis]));
         let (below, above) = points.split_at_mut(points.partition_point(|point| point[axis] < at));
         let [lower, upper] = split(within, axis, at);
-        let sides = [self.halve(below, lower, most)?, self.halve(above, upper, most)?];
+        let sides = [self.halve(below, lower, max_gaussians)?, self.halve(above, upper, max_gaussians)?];
         self.nodes[node] = Node::Split { axis, at, sides };
         Ok(node)
     }

@@ -38,7 +38,7 @@ pub struct CutLimits {
 /// Tolerance for the rounding of opacities, which files store in eight bits or as logits.
 const LOGIT_SLACK: f64 = 1e-5;
 /// Largest limit of the opacity: greater ones are 1 in float32.
-const MOST_OPACITY: f64 = 1.0 - 1.0 / (1 << 25) as f64;
+const MAX_OPACITY: f64 = 1.0 - 1.0 / (1 << 25) as f64;
 
 impl Cut {
     /// Refuses an opacity that is not between 0 and 1, a density that is negative or not finite, and a box with NaN sides.
@@ -63,7 +63,7 @@ impl Cut {
         let finite = |v: f32| v.clamp(f32::MIN, f32::MAX);
         let side = |v: Vec3| Vec3::from_array(v.to_array().map(finite));
         let bounds = self.bounds.unwrap_or(Bounds { min: Vec3::MIN, max: Vec3::MAX });
-        let opacity = f64::from(self.min_opacity).min(MOST_OPACITY);
+        let opacity = f64::from(self.min_opacity).min(MAX_OPACITY);
         CutLimits {
             low: side(bounds.min),
             high: side(bounds.max),

@@ -98,8 +98,8 @@ pub fn level_up(cameras: &[Camera]) -> Option<DVec3> {
 pub(super) const PARALLEL: f64 = 1e-4;
 
 /// Point with the least sum of squared distances to the cameras' optical axes. None if these are parallel: the determinant of
-/// their mean projection, which falls to 0 then, is at most `least`.
-pub fn nearest_to_axes(cameras: &[Camera], least: f64) -> Option<Vec3> {
+/// their mean projection, which falls to 0 then, is at most `min_determinant`.
+pub fn nearest_to_axes(cameras: &[Camera], min_determinant: f64) -> Option<Vec3> {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
         let d = camera.forward().as_dvec3();
@@ -108,5 +108,5 @@ pub fn nearest_to_axes(cameras: &[Camera], least: f64) -> Option<Vec3> {
         b += across * camera.position().as_dvec3();
     }
     let scaled = a * (1.0 / cameras.len() as f64);
-    (scaled.determinant() > least).then(|| (a.inverse() * b).as_vec3()).filter(|p| p.is_finite())
+    (scaled.determinant() > min_determinant).then(|| (a.inverse() * b).as_vec3()).filter(|p| p.is_finite())
 }

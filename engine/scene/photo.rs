@@ -60,11 +60,11 @@ pub struct StoredPhoto {
     pub height: u32,
     masked: bool,
     transparent: bool,
-    place: Place,
+    storage: PhotoStorage,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-enum Place {
+enum PhotoStorage {
     /// The mask of a transparent photograph holds its coverage.
     Memory {
         photo: Arc<Photo>,
@@ -94,8 +94,8 @@ impl StoredPhoto {
     /// Creates a photograph in memory. `mask` has one byte per pixel, 0 if the pixel does not count.
     pub fn new(photo: Photo, mask: Option<Vec<u8>>) -> Self {
         let (width, height, masked) = (photo.width, photo.height, mask.is_some());
-        let place = Place::Memory { photo: Arc::new(photo), mask: mask.map(Into::into) };
-        Self { width, height, masked, transparent: false, place }
+        let storage = PhotoStorage::Memory { photo: Arc::new(photo), mask: mask.map(Into::into) };
+        Self { width, height, masked, transparent: false, storage }
     }
 
     /// Same as [`StoredPhoto::new`], but for a photograph composed over the training's background. `opacity`, one byte per
@@ -119,8 +119,8 @@ impl StoredPhoto {
         let texels = self.texels()?;
         let coverage = texels.as_chunks::<4>().0.iter().map(|texel| texel[3]).enumerate();
         let coverage = coverage.map(|(pixel, coverage)| if hidden(pixel) { 0 } else { coverage }).collect();
-        let place = Place::Memory { photo: self.photo()?, mask: Some(coverage) };
-        Ok(Self { masked: true, place, ..self.clone() })
+        let storage = PhotoStorage::Memory { photo: self.photo()?, mask: Some(coverage) };
+        Ok(Self { masked: true, storage, ..self.clone() })
     }
 
     /// True if some pixels do not count or are transparent. The device then stores the coverage.
@@ -140,9 +140,9 @@ impl StoredPhoto {
 
     /// File of the photograph; None if it is in memory.
     pub fn file(&self) -> Option<&Arc<PhotoFile>> {
-        match &self.place {
-            Place::Memory { .. } => None,
-            Place::File { file, .. } | Place::Source { file, .. } => Some(file),
+        match &self.storage {
+            PhotoStorage::Memory { .. } => None,
+            PhotoStorage::File { file, .. } | PhotoStorage::Source { file, .. } => Some(file),
         }
     }
 
@@ -151,10 +151,12 @@ impl StoredPhoto {
     /// # Errors
     /// [`Error::Io`] if its file cannot be read; [`Error::Input`] if its source has changed.
     pub fn photo(&self) -> Result<Arc<Photo>> {
-        match &self.place {
-            Place::Memory { photo, .. } => Ok(photo.clone()),
-            Place::Source { source, fingerprint, .. } => read_again(&**source, *fingerprint).map(Arc::new),
-            Place::File { file, offset, .. } => {
+        match &self.storage {
+            PhotoStorage::Memory { photo, .. } => Ok(photo.clone()),
+            PhotoStorage::Source { source, fingerprint, .. } => {
+                read_again(&**source, *fingerprint).map(Arc::new)
+            }
+            PhotoStorage::File { file, offset, .. } => {
                 let texels = file.read(*offset, self.bytes())?;
                 let rgb: Vec<[u8; 3]> =
                     texels.as_chunks::<4>().0.iter().map(|t| [t[0], t[1], t[2]]).collect();
@@ -165,9 +167,9 @@ impl StoredPhoto {
 
     /// One byte per pixel, 0 if the pixel does not count. None if all pixels count.
     pub fn mask(&self) -> Result<Option<Arc<[u8]>>> {
-        match &self.place {
+        match &self.storage {
             _ if !self.masked => Ok(None),
-            Place::Memory { mask, .. } if !self.transparent => Ok(mask.clone()),
+            PhotoStorage::Memory { mask, .. } if !self.transparent => Ok(mask.clone()),
             _ => {
                 let counts = |texel: &[u8; 4]| if texel[3] == 0 { 0 } else { OPAQUE };
                 Ok(Some(self.texels()?.as_chunks::<4>().0.iter().map(counts).collect()))
@@ -178,24 +180,24 @@ impl StoredPhoto {
     /// Pixels with coverage: r, g, b, coverage per pixel, row-major. Coverage is 0 if the pixel does not count, else from 1
     /// (transparent) to 255 (opaque).
     pub fn texels(&self) -> Result<Vec<u8>> {
-        match &self.place {
-            Place::Memory { photo, mask } => Ok(self.texels_of(photo, mask.as_deref())),
-            Place::File { file, offset, .. } => file.read(*offset, self.bytes()),
-            Place::Source { .. } => Ok(self.texels_of(&*self.photo()?, None)),
+        match &self.storage {
+            PhotoStorage::Memory { photo, mask } => Ok(self.texels_of(photo, mask.as_deref())),
+            PhotoStorage::File { file, offset, .. } => file.read(*offset, self.bytes()),
+            PhotoStorage::Source { .. } => Ok(self.texels_of(&*self.photo()?, None)),
         }
     }
 
     /// Hash of photograph and mask, the same wherever they are.
     pub(crate) fn fingerprint(&self) -> u64 {
-        match &self.place {
-            Place::Memory { photo, mask } => fingerprint(photo, mask.as_deref()),
-            Place::File { fingerprint, .. } | Place::Source { fingerprint, .. } => *fingerprint,
+        match &self.storage {
+            PhotoStorage::Memory { photo, mask } => fingerprint(photo, mask.as_deref()),
+            PhotoStorage::File { fingerprint, .. } | PhotoStorage::Source { fingerprint, .. } => *fingerprint,
         }
     }
 
     /// Refuses a photograph or mask whose number of bytes does not match its size.
     pub(crate) fn check(&self) -> Result<(), String> {
-        let Place::Memory { photo, mask } = &self.place else { return Ok(()) };
+        let PhotoStorage::Memory { photo, mask } = &self.storage else { return Ok(()) };
         let pixels = self.width as usize * self.height as usize;
         if photo.rgb.len() != 3 * pixels {
             return Err(format!("the photo has {} bytes, not three per pixel", photo.rgb.len()));
@@ -289,8 +291,8 @@ impl PhotoFile {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         let written = file.seek(SeekFrom::End(0)).and_then(|at| file.write_all(&texels).map(|()| at));
         let offset = written.map_err(|e| Error::io(&self.folder, "keep photos", e))?;
-        let place = Place::File { file: self.clone(), offset, fingerprint };
-        Ok(StoredPhoto { place, ..photo.clone() })
+        let storage = PhotoStorage::File { file: self.clone(), offset, fingerprint };
+        Ok(StoredPhoto { storage, ..photo.clone() })
     }
 
     /// Forgets the pixels of a photograph, which `source` reads when they are needed.
@@ -301,8 +303,8 @@ impl PhotoFile {
         if photo.is_masked() {
             return Err(Error::argument("photo", "has a mask: store it in the file"));
         }
-        let place = Place::Source { file: self.clone(), source, fingerprint: photo.fingerprint() };
-        Ok(StoredPhoto { place, ..photo.clone() })
+        let storage = PhotoStorage::Source { file: self.clone(), source, fingerprint: photo.fingerprint() };
+        Ok(StoredPhoto { storage, ..photo.clone() })
     }
 
     fn read(&self, offset: u64, bytes: u64) -> Result<Vec<u8>> {

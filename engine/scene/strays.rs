@@ -11,7 +11,7 @@ const FAR: f64 = 8.0;
 const COMPANIONS: usize = 3;
 
 /// Minimum number of cameras for finding strays.
-const LEAST_CAMERAS: usize = 5;
+const MIN_CAMERAS: usize = 5;
 
 /// Maximum number of strays, because each is compared with all cameras.
 const MAX_STRAYS: usize = 1000;
@@ -22,7 +22,7 @@ pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
     let count = positions.len();
     let points: Vec<_> = positions.iter().map(|position| position.as_dvec3()).collect();
     let none = || vec![None; count];
-    let Some((center, radius)) = median_ball(&points).filter(|_| count >= LEAST_CAMERAS) else {
+    let Some((center, radius)) = median_ball(&points).filter(|_| count >= MIN_CAMERAS) else {
         return none();
     };
     let reach = FAR * radius;
@@ -56,7 +56,7 @@ pub fn without_strays<T: Copy>(all: &[T], position: impl Fn(&T) -> Vec3) -> Vec<
 /// Index of the farthest camera and its distance from the median position in median distances, if it is unusually large.
 pub fn far_camera(positions: &[Vec3]) -> Option<(usize, f64)> {
     let points: Vec<_> = positions.iter().map(|position| position.as_dvec3()).collect();
-    let (center, radius) = median_ball(&points).filter(|_| points.len() >= LEAST_CAMERAS)?;
+    let (center, radius) = median_ball(&points).filter(|_| points.len() >= MIN_CAMERAS)?;
     let distances = points.iter().map(|point| point.distance(center) / radius).enumerate();
     distances.max_by(|one, other| one.1.total_cmp(&other.1)).filter(|far| far.1 > FAR)
 }

@@ -16,17 +16,17 @@ const WIDEST_GAP: f64 = 100.0 / 180.0 * PI;
 const SMOOTHING: f64 = 1.5;
 /// Minimum width of the smoothing kernel, as a share of the way, for paths and for arcs. Photographs of a path follow each
 /// other; those of an arc may come from several rounds at several heights.
-const LEAST_SMOOTHING: (f64, f64) = (1.0 / 40.0, 1.0 / 6.0);
+const MIN_SMOOTHING: (f64, f64) = (1.0 / 40.0, 1.0 / 6.0);
 /// Largest ratio of the way in the given order to the way from neighbour to neighbour.
 const LONGEST_DETOUR: f64 = 2.0;
 
 /// Largest distance between an arc's end and its outermost camera, as a share of the arc; otherwise it is the mean distance
 /// between cameras. What only one camera showed is not drawn well from elsewhere.
-const MOST_INSET: f64 = 1.0 / 8.0;
+const MAX_INSET: f64 = 1.0 / 8.0;
 
 /// Maximum number of cameras for a motion; more are thinned evenly. Beyond some hundreds the smoothing does not depend on their
 /// number, and the time to order neighbours grows with its square.
-const MOST_CAMERAS: usize = 4096;
+const MAX_CAMERAS: usize = 4096;
 
 /// Movement of a camera through a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +53,7 @@ impl Motion {
     /// Returns `count` cameras of the motion, in order. `looped`: the first follows the last, so an arc runs from its middle to
     /// both ends and back; a path always runs once. Empty without cameras.
     pub fn cameras(self, seen: &[Camera], count: u32, looped: bool, intrinsics: Intrinsics) -> Vec<Camera> {
-        let every = seen.len().div_ceil(MOST_CAMERAS).max(1);
+        let every = seen.len().div_ceil(MAX_CAMERAS).max(1);
         let thinned: Vec<Camera> = seen.iter().step_by(every).copied().collect();
         let thinned = without_strays(&thinned, Camera::position);
         let along = (0..count).map(|i| match (looped && self == Self::Arc, count) {
@@ -68,7 +68,7 @@ impl Motion {
             (_, Some(ring)) => along.map(|share| ring.camera(share, intrinsics)).collect(),
             _ if seen.is_empty() => Vec::new(),
             _ => {
-                let way = Way::along(&thinned);
+                let way = CameraPath::along(&thinned);
                 along.map(|share| way.camera(share, intrinsics)).collect()
             }
         }
@@ -143,8 +143,8 @@ fn smoothed<T>(
     let nearest = values.iter().map(|(at, _)| (at - place).abs()).fold(f64::INFINITY, f64::min);
     values.iter().fold((zero, 0.0), |(sum, weights), (at, value)| {
         // The nearest value has the weight 1, so that the weights never all vanish.
-        let [distance, least] = [*at - place, nearest].map(|d| (d / width).powi(2));
-        let weight = libm::exp(0.5 * (least - distance));
+        let [distance, shortest] = [*at - place, nearest].map(|d| (d / width).powi(2));
+        let weight = libm::exp(0.5 * (shortest - distance));
         (add(sum, value, weight), weights + weight)
     })
 }
@@ -199,9 +199,9 @@ impl Ring {
     fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
         let [up, side, front] = self.axes;
         let spacing = self.span / (self.places.len() - 1) as f64;
-        let inset = spacing.min(MOST_INSET * self.span);
+        let inset = spacing.min(MAX_INSET * self.span);
         let place = inset + share * (self.span - 2.0 * inset);
-        let width = (SMOOTHING * spacing).max(LEAST_SMOOTHING.1 * self.span).max(1e-6);
+        let width = (SMOOTHING * spacing).max(MIN_SMOOTHING.1 * self.span).max(1e-6);
         let ([distance, height], weights) =
             smoothed(&self.places, place, width, [0.0; 2], |sum, value, weight| {
                 [sum[0] + weight * value[0], sum[1] + weight * value[1]]
@@ -213,12 +213,12 @@ impl Ring {
     }
 }
 
-struct Way {
+struct CameraPath {
     /// Per camera: place on the way, position, rotation (with signs so that neighbours are near).
     places: Vec<(f64, (DVec3, DQuat))>,
 }
 
-impl Way {
+impl CameraPath {
     /// Orders cameras as given, or from neighbour to neighbour if that way is much shorter.
     fn along(cameras: &[Camera]) -> Self {
         let poses: Vec<(DVec3, DQuat)> =
@@ -255,7 +255,7 @@ impl Way {
     fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
         let end = self.places.last().map_or(0.0, |(at, _)| *at);
         let spacing = end / (self.places.len().max(2) - 1) as f64;
-        let width = (SMOOTHING * spacing).max(LEAST_SMOOTHING.0 * end).max(1e-6);
+        let width = (SMOOTHING * spacing).max(MIN_SMOOTHING.0 * end).max(1e-6);
         let zero = (DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0));
         let ((position, turned), weights) =
             smoothed(&self.places, share * end, width, zero, |sum, value, weight| {

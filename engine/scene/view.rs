@@ -292,9 +292,9 @@ impl Pose {
     /// True if the square of the scale and its inverse are normal numbers.
     #[inline]
     fn has_possible_scale(&self) -> bool {
-        const LEAST: f32 = f32::MIN_POSITIVE;
+        const MIN: f32 = f32::MIN_POSITIVE;
         let squared = self.scale * self.scale;
-        (self.scale > 0.0) & (squared >= LEAST) & (squared <= LEAST.recip())
+        (self.scale > 0.0) & (squared >= MIN) & (squared <= MIN.recip())
     }
 
     /// Describes the problem of a pose that fails its check.

@@ -12,8 +12,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Removes connected parts of fewer triangles than `least`, and vertices of no triangle. Returns the number of removed parts.
-    pub fn keep_parts(&mut self, least: usize) -> usize {
+    /// Removes connected parts of fewer triangles than `min_triangles`, and vertices of no triangle. Returns the number of removed parts.
+    pub fn keep_parts(&mut self, min_triangles: usize) -> usize {
         let mut above: Vec<u32> = (0..self.positions.len() as u32).collect();
         for &[a, b, c] in &self.triangles {
             let a = root(&mut above, a);
@@ -26,7 +26,7 @@ impl Mesh {
         for triangle in &self.triangles {
             sizes[root(&mut above, triangle[0]) as usize] += 1;
         }
-        self.triangles.retain(|triangle| sizes[root(&mut above, triangle[0]) as usize] >= least);
+        self.triangles.retain(|triangle| sizes[root(&mut above, triangle[0]) as usize] >= min_triangles);
         let mut used = vec![false; self.positions.len()];
         self.triangles.as_flattened().iter().for_each(|&vertex| used[vertex as usize] = true);
         let mut kept = 0;
@@ -36,7 +36,7 @@ impl Mesh {
         self.positions.retain(|_| *is_used.next().unwrap_or(&false));
         let mut is_used = used.iter();
         self.colors.retain(|_| *is_used.next().unwrap_or(&false));
-        sizes.iter().filter(|&&size| (1..least).contains(&size)).count()
+        sizes.iter().filter(|&&size| (1..min_triangles).contains(&size)).count()
     }
 }
 

@@ -21,7 +21,7 @@ pub struct SceneBlock {
     pub core: Bounds,
     /// Gaussians that are drawn but not trained; may be empty. SH coefficients above the settings' degree are dropped.
     pub frozen: Gaussians,
-    /// Count and hash of all surroundings before [`SceneBlock::without_unseen`] dropped some. Checkpoints are compared by
+    /// Count and hash of all surroundings before [`SceneBlock::without_invisible`] dropped some. Checkpoints are compared by
     /// these.
     pub chosen_from: Option<Surroundings>,
 }
@@ -64,7 +64,7 @@ impl SceneBlock {
     /// checkpoint of either block can be resumed with the other. With [the 3D filter](TrainSettings::filter_3d) nothing is
     /// dropped, because its sizes depend on all surroundings.
     #[must_use]
-    pub fn without_unseen(self, cameras: &[Camera], settings: &TrainSettings) -> Self {
+    pub fn without_invisible(self, cameras: &[Camera], settings: &TrainSettings) -> Self {
         if settings.filter_3d {
             return self;
         }
@@ -174,16 +174,16 @@ const ROUNDING_PX: f64 = 1.0;
 const ROUNDING: f64 = 1e-6;
 /// A camera, for a bound of what its picture shows, in double precision: a Gaussian counts as visible if a ball of its largest
 /// axis may reach a pixel. So dropping the others changes no bit of any picture.
-struct Sight<'a> {
+struct VisibilityBound<'a> {
     camera: &'a Camera,
     /// Minimum absolute slopes with which Gaussians are linearised. Above 0 only if the optical axis lies far outside the whole
     /// picture.
-    least_slope: DVec2,
+    min_slope: DVec2,
 }
 
-impl<'a> Sight<'a> {
+impl<'a> VisibilityBound<'a> {
     fn of(camera: &'a Camera) -> Self {
-        let least = |[low, high]: [f64; 2]| {
+        let slope_bound = |[low, high]: [f64; 2]| {
             if low > 0.0 {
                 high
             } else if high < 0.0 {
@@ -193,7 +193,7 @@ impl<'a> Sight<'a> {
             }
         };
         let slopes = camera.shown_slopes(EDGE_MARGIN).unwrap_or_default();
-        Self { camera, least_slope: DVec2::from_array(slopes.map(least)) }
+        Self { camera, min_slope: DVec2::from_array(slopes.map(slope_bound)) }
     }
 
     /// True if the picture may show a Gaussian with this mean and largest axis (a standard deviation), world units, under a
@@ -212,7 +212,7 @@ impl<'a> Sight<'a> {
         }
         let Linearised { pixel, per_unit, slope } = self.camera.linearised(place);
         // |row of J W R S|² is at most |row of J W|² times the square of the largest axis.
-        let slope = slope.abs().max(self.least_slope);
+        let slope = slope.abs().max(self.min_slope);
         let variance = per_unit * per_unit * (1.0 + slope * slope) * (axis * axis) + low_pass_px2;
         let rounding = ROUNDING_PX + ROUNDING * pixel.abs() + rounding * per_unit * (1.0 + slope);
         let half = REACH * DVec2::new(variance.x.sqrt(), variance.y.sqrt()) + rounding;
@@ -224,7 +224,7 @@ impl<'a> Sight<'a> {
 /// Per Gaussian: true if any of the cameras may show it, under a low-pass filter of this variance on the screen (px²) and
 /// without the 3D filter.
 pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera], low_pass_px2: f64) -> Vec<bool> {
-    let sights: Vec<Sight<'_>> = cameras.iter().map(Sight::of).collect();
+    let sights: Vec<VisibilityBound<'_>> = cameras.iter().map(VisibilityBound::of).collect();
     let rows: Vec<usize> = (0..gaussians.len()).collect();
     // The same cameras show neighbours, so each search begins with the last one found.
     in_threads(&rows, 0, |last, &row| {

@@ -15,7 +15,7 @@ use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Fingerprint, Gaussians, WorldFrame};
 
 /// Upper limit of [`Capacities::blend_passes`].
-const MOST_BLEND_PASSES: u32 = 1 << 16;
+const MAX_BLEND_PASSES: u32 = 1 << 16;
 
 /// The state of a training run after an iteration.
 #[derive(Clone, Debug, PartialEq)]
@@ -226,7 +226,7 @@ pub struct Capacities {
 }
 
 /// Properties that a checkpoint must match to be resumed.
-pub(super) struct Wanted<'a> {
+pub(super) struct ExpectedRun<'a> {
     pub settings: &'a TrainSettings,
     pub views: u64,
     pub views_fingerprint: u64,
@@ -345,9 +345,9 @@ impl Checkpoint {
         }
         let (capacities, iteration) = (&self.capacities, u64::from(self.iteration));
         let gaussians = self.gaussians.len() as u64;
-        let (least_frame, most_passes) = match capacities.frame_instances {
+        let (min_frame, max_passes) = match capacities.frame_instances {
             0 => (0, 1),
-            instances => (gaussians, instances.min(MOST_BLEND_PASSES)),
+            instances => (gaussians, instances.min(MAX_BLEND_PASSES)),
         };
         let ranges = [
             ("views", self.views, 1, u32::MAX.into()),
@@ -356,13 +356,13 @@ impl Checkpoint {
             ("opacity_steps", self.opacity_steps, 0, self.optimizer_steps),
             ("skipped", self.skipped.into(), 0, iteration),
             ("capacities.gaussians", capacities.gaussians.into(), 0, 1 << 30),
-            ("capacities.frame_gaussians", capacities.frame_gaussians.into(), least_frame, u32::MAX.into()),
-            ("capacities.blend_passes", capacities.blend_passes.into(), 0, most_passes.into()),
+            ("capacities.frame_gaussians", capacities.frame_gaussians.into(), min_frame, u32::MAX.into()),
+            ("capacities.blend_passes", capacities.blend_passes.into(), 0, max_passes.into()),
         ];
-        if let Some((name, value, least, most)) =
-            ranges.into_iter().find(|(_, value, least, most)| !(least..=most).contains(&value))
+        if let Some((name, value, min, max)) =
+            ranges.into_iter().find(|(_, value, min, max)| !(min..=max).contains(&value))
         {
-            return Err(Error::argument(name, format!("is {value}, not {least} to {most}")));
+            return Err(Error::argument(name, format!("is {value}, not {min} to {max}")));
         }
         self.check_values()
     }
@@ -380,9 +380,9 @@ impl Checkpoint {
             if ["statistics", Self::PACKED_MOMENTS].contains(&name.as_str()) {
                 continue;
             }
-            let least = if name.starts_with(Self::SETS[2]) { 0.0 } else { f32::NEG_INFINITY };
+            let min = if name.starts_with(Self::SETS[2]) { 0.0 } else { f32::NEG_INFINITY };
             let values: &[f32] = bytemuck::cast_slice(bytes);
-            if let Some(at) = values.iter().position(|&value| value.is_nan() || value < least) {
+            if let Some(at) = values.iter().position(|&value| value.is_nan() || value < min) {
                 return Err(Error::argument(
                     name,
                     format!("value {at} is {}, which no training has", values[at]),
@@ -412,8 +412,8 @@ impl Checkpoint {
         let filters = if self.settings.filter_3d { gaussians } else { 0 };
         let exposures = if self.settings.exposure { self.views } else { 0 };
         let lenses = self.lens_effects.sets().map(|set| set.len() as u64);
-        let most = if self.settings.lens_effects { self.views } else { 0 };
-        let lenses_fit = lenses == [lenses[0]; 3] && lenses[0] <= most && (most == 0 || lenses[0] > 0);
+        let max = if self.settings.lens_effects { self.views } else { 0 };
+        let lenses_fit = lenses == [lenses[0]; 3] && lenses[0] <= max && (max == 0 || lenses[0] > 0);
         let poses_fit = |poses: &PoseState| {
             poses.sets().iter().all(|rows| rows.len() as u64 == self.views)
                 && poses.depths.len() as u64 == self.views
@@ -421,8 +421,7 @@ impl Checkpoint {
         let exposures_fit = self.exposures.sets().iter().all(|set| set.len() as u64 == exposures);
         let degree_fits = self.gaussians.sh_degree == self.settings.sh_degree;
         let of_gaussians = "are of another number than the Gaussians";
-        let [exposed, lensed] =
-            [exposures, most].map(|count| format!("are not those of {count} photographs"));
+        let [exposed, lensed] = [exposures, max].map(|count| format!("are not those of {count} photographs"));
         let checks = [
             (storage == self.settings.moments, "moments", "are stored otherwise than the settings say"),
             (moments_fit, "moments", of_gaussians),
@@ -440,45 +439,45 @@ impl Checkpoint {
     }
 
     /// Checks that a run with these settings and views could have made the checkpoint.
-    pub(super) fn check_fits(&self, wanted: &Wanted) -> Result<()> {
+    pub(super) fn check_fits(&self, run: &ExpectedRun) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
         // The block comes first: photographs depend on the block, and settings on the photographs.
-        if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
+        if let Some(difference) = BlockState::difference(self.block.as_ref(), run.block.as_ref()) {
             return refuse(difference);
         }
-        if self.views != wanted.views {
-            return refuse(format!("was made with {} training views, here are {}", self.views, wanted.views));
+        if self.views != run.views {
+            return refuse(format!("was made with {} training views, here are {}", self.views, run.views));
         }
-        let mut settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
+        let mut settings = TrainSettings { iterations: run.settings.iterations, ..self.settings.clone() };
         if !settings.exposure {
             // Unused without `exposure`. Ignored, because later presets set them.
-            settings.exposure_lr_init = wanted.settings.exposure_lr_init;
-            settings.exposure_lr_final = wanted.settings.exposure_lr_final;
-            settings.exposure_reg = wanted.settings.exposure_reg;
-            settings.exposure_shared = wanted.settings.exposure_shared;
-            settings.exposure_sparsity = wanted.settings.exposure_sparsity;
+            settings.exposure_lr_init = run.settings.exposure_lr_init;
+            settings.exposure_lr_final = run.settings.exposure_lr_final;
+            settings.exposure_reg = run.settings.exposure_reg;
+            settings.exposure_shared = run.settings.exposure_shared;
+            settings.exposure_sparsity = run.settings.exposure_sparsity;
         }
-        wanted.settings.excuse_sh_degrees(&mut settings, &self.settings, self.iteration);
-        if let Some(difference) = difference(&settings, wanted.settings) {
+        run.settings.excuse_sh_degrees(&mut settings, &self.settings, self.iteration);
+        if let Some(difference) = difference(&settings, run.settings) {
             return refuse(format!("was made with other settings: {difference}; give what they were"));
         }
-        if self.iteration > wanted.settings.iterations {
+        if self.iteration > run.settings.iterations {
             return refuse(format!(
                 "is of iteration {} already, the training ends at {}; raise iterations to go on",
-                self.iteration, wanted.settings.iterations
+                self.iteration, run.settings.iterations
             ));
         }
-        if self.views_fingerprint != wanted.views_fingerprint {
+        if self.views_fingerprint != run.views_fingerprint {
             return refuse(
                 "was made with other photographs or cameras (of another data set, resolution, background, split, or parts of \
                  photographs; with another undistort, alpha or level; before photographs kept their lenses)"
                     .into(),
             );
         }
-        if self.scene_extent.to_bits() != wanted.scene_extent.to_bits() {
+        if self.scene_extent.to_bits() != run.scene_extent.to_bits() {
             return refuse(format!(
                 "was made with a scene extent of {}, here it is {}",
-                self.scene_extent, wanted.scene_extent
+                self.scene_extent, run.scene_extent
             ));
         }
         Ok(())
@@ -539,7 +538,7 @@ impl Checkpoint {
 fn difference(there: &TrainSettings, here: &TrainSettings) -> Option<String> {
     let (there, here) = (there.values(), here.values());
     let differing = there.iter().zip(&here).filter(|(there, here)| there != here);
-    let said: Vec<String> =
+    let sentences: Vec<String> =
         differing.map(|((name, there), (_, here))| format!("{name} was {there}, is {here}")).collect();
-    (!said.is_empty()).then(|| said.join("; "))
+    (!sentences.is_empty()).then(|| sentences.join("; "))
 }

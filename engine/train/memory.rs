@@ -9,7 +9,7 @@ use super::settings::{MomentsType, TrainSettings};
 use super::step::StepRecorder;
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan,
+    FrameBuffers, FrameCapacity, LaunchSizes, MIN_INSTANCES, PictureCapacity, SceneBuffers, ScenePlan,
     ShStorage, check_grids, frame_fits_device, gaussians_with, initial_instances, initial_visible,
     max_trained_among, max_trained_gaussians, planes,
 };
@@ -49,8 +49,8 @@ impl PeakCounts {
     /// Peak counts to keep after a densification from `before` to `rows` Gaussians: the same per Gaussian, less a twentieth.
     /// Frames after an opacity reset have few instances for a while, then as many as before.
     pub fn remembered(self, before: u32, rows: u32) -> Self {
-        let scaled = |most: u32| {
-            let per_gaussian = u64::from(most) * u64::from(rows) / u64::from(before.max(1));
+        let scaled = |max: u32| {
+            let per_gaussian = u64::from(max) * u64::from(rows) / u64::from(before.max(1));
             (per_gaussian * 19 / 20).min(u32::MAX.into()) as u32
         };
         Self { visible: scaled(self.visible), instances: scaled(self.instances) }
@@ -236,7 +236,7 @@ impl Capacities {
             before => before.min(gaussians),
         };
         let usual = initial_instances(context.limits(), gaussians, &shape.pictures);
-        let instances = self.most_instances.saturating_mul(2).max(LEAST_INSTANCES).min(usual);
+        let instances = self.most_instances.saturating_mul(2).max(MIN_INSTANCES).min(usual);
         (self.most_instances > 0).then_some(FrameCapacity { gaussians, visible, instances, ..shape })
     }
 
@@ -323,8 +323,8 @@ impl StartMemory<'_> {
         let refused = |(size, (photo, count))| Some((photo, self.check_size(context, size).err()?, count));
         let refused: Vec<(&PhotoSize, Error, usize)> = sizes.into_iter().filter_map(refused).collect();
         let all: usize = refused.iter().map(|(.., count)| count).sum();
-        let most = refused.into_iter().max_by_key(|(photo, ..)| (photo.pixels(), photo.width));
-        match most {
+        let largest = refused.into_iter().max_by_key(|(photo, ..)| (photo.pixels(), photo.width));
+        match largest {
             None => Ok(()),
             Some((photo, error, _)) => {
                 let others = match all - 1 {
@@ -353,11 +353,11 @@ impl StartMemory<'_> {
         let requests = named("frame", FrameBuffers::requests(&frame, &launches))
             .chain(named("frame", self.parts.recorder.scratch_requests(&[size])))
             .chain(named("loss", self.loss_requests(&[size])));
-        let most = [
+        let bounds = [
             (limits.max_storage_buffer_range, "maxStorageBufferRange"),
             (limits.max_allocation_bytes, "maxMemoryAllocationSize"),
         ];
-        let limit = if most[1].0 < most[0].0 { most[1] } else { most[0] };
+        let limit = if bounds[1].0 < bounds[0].0 { bounds[1] } else { bounds[0] };
         match requests.max_by_key(|(.., bytes)| *bytes) {
             Some((arena, name, needed)) if needed > limit.0 => {
                 Err(Error::too_large(format!("buffer {arena}.{name}"), (needed, "bytes"), limit))
@@ -373,14 +373,14 @@ impl StartMemory<'_> {
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
         let Self { of: Forecast { photos: all, gaussians: count, settings, .. }, photo_bytes, .. } = *self;
         let sh_degree = settings.sh_degree;
-        let most = max_trained_among(context.limits(), self.of.frozen);
-        if count > most {
+        let max = max_trained_among(context.limits(), self.of.frozen);
+        if count > max {
             let needed = u64::from(count) + u64::from(self.of.frozen);
             let limit = (max_trained_gaussians(context.limits()).into(), "what maxStorageBufferRange holds");
             return Err(Error::too_large("the gradients of the scene", (needed, "Gaussians"), limit));
         }
         // The reserve delays the first reallocation by densification.
-        let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
+        let wanted = count.saturating_add(count / 2).max(1 << 12).min(max);
         let (limit, limit_name) = context.memory_limit().unwrap_or((u64::MAX, "no limit"));
         let held = context.held_bytes();
         let free = limit.saturating_sub(held);
@@ -397,20 +397,20 @@ impl StartMemory<'_> {
         if fits(&buffers(wanted, whole)?) {
             return Ok(wanted);
         }
-        let least = buffers(count, whole)?;
+        let minimal = buffers(count, whole)?;
         // If a frame of all does not fit, pictures may still show fewer.
-        if fits(&least) || fits(&buffers(count, initial_visible(whole))?) {
+        if fits(&minimal) || fits(&buffers(count, initial_visible(whole))?) {
             return Ok(count);
         }
-        if !least.is_offloadable(context) {
+        if !minimal.is_offloadable(context) {
             let what = format!("training {count} Gaussians of SH degree {sh_degree} in the host's memory");
             let limit = context.offload().unwrap_or(0).saturating_sub(context.memory_offloaded().bytes);
-            return Err(Error::too_large(what, (least.offloaded, "bytes"), (limit, "--offload")));
+            return Err(Error::too_large(what, (minimal.offloaded, "bytes"), (limit, "--offload")));
         }
-        let least = least.device;
+        let minimal = minimal.device;
         // A photograph budget of half the limit follows the total: all photographs, or half of the requested bytes.
         let follow = photo_bytes.budget == Some(limit / 2);
-        let with_more = if follow { photo_bytes.all.min(least) + photo_bytes.staging } else { photos };
+        let with_more = if follow { photo_bytes.all.min(minimal) + photo_bytes.staging } else { photos };
         let largest = all.iter().max_by_key(|photo| photo.pixels());
         let largest = largest.map_or_else(String::new, |photo| {
             format!(", the largest '{}' of {}x{} pixels", photo.name, photo.width, photo.height)
@@ -425,7 +425,7 @@ impl StartMemory<'_> {
             all.len()
         );
         // Includes the bytes already held, so that a limit of this value suffices.
-        let needed = held + least + with_more.max(photos);
+        let needed = held + minimal + with_more.max(photos);
         Err(Error::too_large(what, (needed, "bytes"), (limit, limit_name)))
     }
 

@@ -74,7 +74,7 @@ impl Forecast<'_> {
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid settings and without photographs; [`Error::Vulkan`](crate::Error::Vulkan) from the device.
-    pub fn most_gaussians(&self, context: &Context) -> Result<u32> {
+    pub fn max_gaussians(&self, context: &Context) -> Result<u32> {
         self.settings.check()?;
         if self.photos.is_empty() {
             return Err(Error::argument("photographs", "there are none to train on"));
@@ -140,13 +140,13 @@ impl BuiltParts {
             all.push(Box::new(InverseDepth::new(context, settings)?));
         }
         if settings.depth_points > 0.0 {
-            let most = photos.iter().map(|photo| photo.depth_points).max().unwrap_or(0);
-            if most == 0 {
+            let max_points = photos.iter().map(|photo| photo.depth_points).max().unwrap_or(0);
+            if max_points == 0 {
                 let problem =
                     "needs sparse points that the views are known to show, and there are none: leave it at 0";
                 return Err(Error::argument("depth_points", problem));
             }
-            all.push(Box::new(SparseDepth::new(context, settings, scene_extent, most)?));
+            all.push(Box::new(SparseDepth::new(context, settings, scene_extent, max_points)?));
         }
         all.extend(terms);
         check_depths(settings, &all)?;

@@ -32,13 +32,13 @@ pub(super) struct Photos {
 }
 
 /// Places on the device that photographs share.
-struct Places {
+struct SharedSlots {
     count: usize,
     /// Bytes of each.
     bytes: u64,
 }
 
-impl Places {
+impl SharedSlots {
     /// Plans as many places as fit the file's budget, less the photographs that wait on the host. None if the photographs do not
     /// lie in a file: then all are on the device.
     fn of(layout: NativeLayout, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Option<Self>> {
@@ -151,12 +151,12 @@ pub(super) fn device_bytes(
 ) -> Result<PhotoBytes> {
     let all = context.allocation_bytes(&requests(context, photos));
     let maps = context.allocation_bytes(&map_requests(photos));
-    Ok(match Places::of(NativeLayout::of(context.limits()), photos, file_memory)? {
+    Ok(match SharedSlots::of(NativeLayout::of(context.limits()), photos, file_memory)? {
         None => PhotoBytes { held: all + maps, staging: 0, all, budget: None },
         Some(places) => PhotoBytes {
             held: maps + context.allocation_bytes(&places.requests()),
             staging: context.staging_bytes(places.bytes),
-            all: all.max(context.allocation_bytes(&Places { count: photos.len(), ..places }.requests())),
+            all: all.max(context.allocation_bytes(&SharedSlots { count: photos.len(), ..places }.requests())),
             budget: file_memory,
         },
     })
@@ -203,7 +203,7 @@ impl Photos {
     /// the order of their use.
     pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize], seed: u32) -> Result<Self> {
         let (texels, stream) =
-            match Places::of(NativeLayout::of(context.limits()), sizes, memory_of_file(views))? {
+            match SharedSlots::of(NativeLayout::of(context.limits()), sizes, memory_of_file(views))? {
                 Some(places) => {
                     let photos = views.iter().map(|view| view.photo.clone()).collect();
                     let places = context.allocate("photos", &places.requests(), MemoryKind::Device)?;
@@ -291,24 +291,24 @@ fn upload_all(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Re
 struct Stream {
     photos: Vec<StoredPhoto>,
     seed: u32,
-    running: Option<Running>,
+    running: Option<ActiveStream>,
 }
 
-struct Running {
+struct ActiveStream {
     context: Context,
     schedule: Residency,
     /// The prepared iteration.
     iteration: u32,
-    at: Use,
+    at: PhotoUse,
     /// Photograph of the next iteration; true if its load has begun.
-    ahead: Option<(Use, bool)>,
+    ahead: Option<(PhotoUse, bool)>,
     /// Number of photographs taken from the threads.
     taken: usize,
     /// Texels of each thread's loads, in order. A thread ends when its receiver is dropped.
     texels: Vec<Receiver<Result<Vec<u8>>>>,
 }
 
-impl Running {
+impl ActiveStream {
     /// Texels of the next load; None if they are not read yet and `wait` is false.
     fn take(&mut self, wait: bool) -> Result<Option<Vec<u8>>> {
         let thread = &self.texels[self.taken % READERS];
@@ -322,7 +322,7 @@ impl Running {
     }
 }
 
-impl Drop for Running {
+impl Drop for ActiveStream {
     fn drop(&mut self) {
         // A load in progress uses memory that is freed now. After an error nothing is pending.
         let _ = self.context.finish_uploads();
@@ -369,7 +369,7 @@ impl Stream {
         Ok(())
     }
 
-    fn start(&self, context: &Context, places: usize, iteration: u32) -> Result<Running> {
+    fn start(&self, context: &Context, places: usize, iteration: u32) -> Result<ActiveStream> {
         let layout = NativeLayout::of(context.limits());
         let order = ViewOrder::new(self.seed, self.photos.len());
         let schedule = Residency::new(order, places, iteration);
@@ -394,11 +394,11 @@ impl Stream {
         };
         let texels = (0..READERS).map(reader).collect::<Result<_>>()?;
         let context = context.clone();
-        Ok(Running {
+        Ok(ActiveStream {
             context,
             schedule,
             iteration,
-            at: Use { view: 0, place: 0, load: false },
+            at: PhotoUse { view: 0, place: 0, load: false },
             ahead: None,
             taken: 0,
             texels,
@@ -457,7 +457,7 @@ impl DepthMaps {
 
 /// Photograph of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Use {
+pub(super) struct PhotoUse {
     pub view: usize,
     /// Index of its place on the device.
     pub place: usize,
@@ -487,7 +487,7 @@ impl Residency {
     }
 
     /// Photograph of the next iteration.
-    pub fn advance(&mut self) -> Use {
+    pub fn advance(&mut self) -> PhotoUse {
         let iteration = self.iteration;
         self.iteration += 1;
         if iteration >= self.epoch_end {
@@ -495,13 +495,13 @@ impl Residency {
         }
         let view = self.order.view(iteration);
         if let Some(place) = self.places.iter().position(|&held| held == Some(view)) {
-            return Use { view, place, load: false };
+            return PhotoUse { view, place, load: false };
         }
         let farthest =
             |&place: &usize| self.places[place].map_or(u32::MAX, |held| self.next_use(held, iteration));
         let place = (0..self.places.len()).max_by_key(farthest).unwrap_or(0);
         self.places[place] = Some(view);
-        Use { view, place, load: true }
+        PhotoUse { view, place, load: true }
     }
 
     /// Notes the iteration of each view, in the epoch of the given iteration and in the next.

@@ -13,7 +13,7 @@ use crate::frame::{
 use crate::kernels::constants::PLANE_ROW;
 use crate::passes::adam::Moments;
 use crate::passes::densify::{Curve, Densify, EdgePhoto, Gather, Importance, ImportanceBuffers, RandomKey};
-use crate::render::{Failed, FrameRunner, Renderer, Request, frozen_capacity};
+use crate::render::{FrameRunner, Renderer, Request, RunError, frozen_capacity};
 use crate::scene::Camera;
 use crate::scene::camera::middle;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -83,7 +83,7 @@ impl Population<'_> {
     }
 
     /// Per Gaussian, since the last change of the set: sum over views of the norm of the 2D mean's gradient (NDC), and number of
-    /// views. Views count if [`Work::accumulates`](super::strategy::Work::accumulates) is set. With
+    /// views. Views count if [`StepWork::accumulates`](super::strategy::Work::accumulates) is set. With
     /// [`Strategy::absolute_gradients`](super::Strategy::absolute_gradients) the norm is that of the absolute gradients:
     /// ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖, where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS,
     /// Ye et al. 2024).
@@ -154,7 +154,7 @@ impl Population<'_> {
                 r.barrier();
                 kernels.record_view(r, inputs, gradient, &buffers, importance, share);
             });
-            or_none(ran.map_err(Failed::error))?;
+            or_none(ran.map_err(RunError::error))?;
         }
         Ok(Some(importance.clone()))
     }
@@ -168,7 +168,7 @@ impl Population<'_> {
     /// Maximum number of Gaussians for which frames stay within the limits of device and memory. Later frames should stay within
     /// three quarters of the device's instance limit, because views differ. No Gaussian is added if memory cannot hold a frame
     /// with the peak counts so far.
-    pub fn most_rows(&self) -> u32 {
+    pub fn max_rows(&self) -> u32 {
         let count = self.count();
         if !self.holds_peak() {
             return count;
@@ -187,12 +187,12 @@ impl Population<'_> {
         if rows <= old {
             return Ok(Growth(None));
         }
-        let most = self.most_with_room(rows)?;
+        let max = self.max_rows_that_fit(rows)?;
         let worth_it = old + old / 16;
         // Half more, up to the most that can be trained beside the frozen Gaussians.
         let trainable = max_trained_among(self.context.limits(), frozen_capacity(self.frozen));
         let reserved = rows.saturating_add(rows / 2).min(trainable.max(rows));
-        for capacity in [reserved, rows, most] {
+        for capacity in [reserved, rows, max] {
             if capacity <= worth_it && capacity < rows {
                 continue;
             }
@@ -330,9 +330,9 @@ impl Population<'_> {
         let of = |plan: &ScenePlan| gaussians_with(plan.capacity, frozen);
         let grown = FrameCapacity { gaussians: of(plan), ..frame };
         // The visible Gaussians and instances grow with the number of Gaussians.
-        let grow = |n: u32, most: u32| {
+        let grow = |n: u32, max: u32| {
             let grown = u64::from(n) * u64::from(of(plan)) / u64::from(of(old).max(1));
-            grown.min(most.into()) as u32
+            grown.min(max.into()) as u32
         };
         let full = FrameCapacity {
             visible: grow(frame.visible, of(plan)),
@@ -346,7 +346,7 @@ impl Population<'_> {
     }
 
     /// Largest number of rows, up to `rows`, that fits; at least the current capacity.
-    fn most_with_room(&self, rows: u32) -> Result<u32> {
+    fn max_rows_that_fit(&self, rows: u32) -> Result<u32> {
         let plan = self.model.scene.plan;
         let (mut fits, mut beyond) = (plan.capacity, rows);
         while beyond.saturating_sub(fits) > (plan.capacity / 64).max(1) {

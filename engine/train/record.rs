@@ -68,9 +68,9 @@ impl Trainer {
     /// # Errors
     /// [`Error::Argument`] without slots, for photographs in a file, or while recorded steps are in flight; [`Error::TooLarge`]
     /// if the reservation exceeds the device; memory or device failures.
-    pub fn reserve_steps(&mut self, wanted: &StepReservation) -> Result<()> {
-        if !(1..=1024).contains(&wanted.slots) {
-            return Err(Error::argument("slots", format!("is {}, it may be 1 to 1024", wanted.slots)));
+    pub fn reserve_steps(&mut self, reservation: &StepReservation) -> Result<()> {
+        if !(1..=1024).contains(&reservation.slots) {
+            return Err(Error::argument("slots", format!("is {}, it may be 1 to 1024", reservation.slots)));
         }
         if !self.photos.are_resident() {
             let problem = "lie in a file: recorded steps need all of them on the device";
@@ -79,14 +79,14 @@ impl Trainer {
         self.check_none_in_flight()?;
         self.recorded.slots.clear();
         self.recorded.frame_is_ready = false;
-        self.runner.store.set_at_least(wanted.visible, wanted.instances);
+        self.runner.store.set_at_least(reservation.visible, reservation.instances);
         for sh_degree in 0..=self.run.settings.sh_degree {
             self.recorder.prepare(sh_degree, &self.run.cameras)?;
         }
         let dispatches = self.step_dispatches();
         let losses = self.recorder.readback_request();
         let slot = |_| StepSlot::new(&self.context, dispatches, losses);
-        self.recorded.slots = (0..wanted.slots).map(slot).collect::<Result<_>>()?;
+        self.recorded.slots = (0..reservation.slots).map(slot).collect::<Result<_>>()?;
         self.make_ready(true)
     }
 
@@ -180,10 +180,10 @@ impl Trainer {
             }
             let counts = slot.counts()?;
             slot.outcome = Some(if counts.overflow {
-                let [_, most] = self.recorded.overflow.get_or_insert([counts; 2]);
-                most.visible_needed = most.visible_needed.max(counts.visible_needed);
-                most.instances = most.instances.max(counts.instances);
-                most.longest_tile = most.longest_tile.max(counts.longest_tile);
+                let [_, max] = self.recorded.overflow.get_or_insert([counts; 2]);
+                max.visible_needed = max.visible_needed.max(counts.visible_needed);
+                max.instances = max.instances.max(counts.instances);
+                max.longest_tile = max.longest_tile.max(counts.longest_tile);
                 StepOutcome::Overflowed {
                     iteration: first.plan.iteration,
                     visible_needed: counts.visible_needed,
@@ -281,9 +281,9 @@ impl Trainer {
         self.recorded.frame_is_ready = false;
         // The slots hold buffers that are replaced now.
         self.recorded.slots.iter_mut().try_for_each(|slot| slot.recording.release())?;
-        if let Some([first, most]) = self.recorded.overflow {
+        if let Some([first, max]) = self.recorded.overflow {
             // For all steps, or else for the first. If even that does not fit, it is skipped.
-            let grown = match self.runner.store.grow(&most) {
+            let grown = match self.runner.store.grow(&max) {
                 Err(Error::TooLarge { .. }) => self.runner.store.grow(&first),
                 grown => grown,
             };

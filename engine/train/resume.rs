@@ -1,7 +1,7 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
 use super::block::SceneBlock;
-use super::checkpoint::{Capacities, Checkpoint, MomentState, StrategyState, Wanted};
+use super::checkpoint::{Capacities, Checkpoint, ExpectedRun, MomentState, StrategyState};
 use super::lens_opt::LensOptimizer;
 use super::memory::STATISTICS_BYTES;
 use super::parts::TrainParts;
@@ -90,7 +90,7 @@ impl Trainer {
         from: &Checkpoint,
     ) -> Result<Self> {
         from.check()?;
-        from.check_fits(&Wanted {
+        from.check_fits(&ExpectedRun {
             settings: &settings,
             views: views.len() as u64,
             views_fingerprint: fingerprint_of(&views, settings.lens_effects),

@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 /// Divisors of width and height: at the start and at the end of the warm-up.
 pub(super) const WARM_UP_FACTORS: [u32; 2] = [4, 2];
 /// Minimum width and height of a reduced picture, pixels: four tiles by four.
-const LEAST_SIDE: u32 = 64;
+const MIN_SIDE: u32 = 64;
 /// Number of iterations for which the schedules are given.
 const SCHEDULE_ITERATIONS: u32 = 30_000;
 /// Learning rate of the SH coefficients above degree 0, as a share of `feature_lr`.
@@ -228,7 +228,7 @@ impl TrainSettings {
             let whole = camera.whole();
             let divides = [whole.width, whole.height].iter().all(|side| side.is_multiple_of(factor));
             let is_whole = divides || !camera.projection.has_seam();
-            factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE && is_whole
+            factor <= wanted && camera.width.min(camera.height) / factor >= MIN_SIDE && is_whole
         };
         WARM_UP_FACTORS.into_iter().find(fits).map_or(*camera, |factor| reduced(camera, factor))
     }
@@ -336,7 +336,7 @@ impl Actions {
 
 /// Part of an iteration's work that the strategy decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Work {
+pub struct StepWork {
     /// True if the backward pass adds to the statistics ([`Population::statistics`](super::Population::statistics)).
     pub accumulates: bool,
     /// True if the optimiser makes a step.
@@ -373,7 +373,7 @@ pub(super) struct Progress {
 
 impl Progress {
     pub fn after(&self, plan: &IterationPlan) -> Self {
-        let Work { optimizes, optimizes_opacity, actions, .. } = plan.work;
+        let StepWork { optimizes, optimizes_opacity, actions, .. } = plan.work;
         Self {
             iteration: plan.iteration,
             steps: self.steps + u64::from(optimizes),
@@ -390,7 +390,7 @@ pub(super) struct IterationPlan {
     pub view: usize,
     /// Camera that draws the view: its own, or one of a smaller picture.
     pub camera: Camera,
-    pub work: Work,
+    pub work: StepWork,
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
@@ -408,7 +408,7 @@ pub(super) struct IterationPlan {
 impl IterationPlan {
     /// Plan with the optimiser's step and the statistics for the given view, for a recording that never executes.
     pub fn rehearsal(self, view: usize, camera: Camera) -> Self {
-        let work = Work { optimizes: true, accumulates: true, ..self.work };
+        let work = StepWork { optimizes: true, accumulates: true, ..self.work };
         Self { view, camera, work, ..self }
     }
 }
@@ -426,7 +426,12 @@ impl Schedule {
     }
 
     /// Plan of the next iteration. `work` is the strategy's choice for it.
-    pub fn plan_after(&mut self, progress: &Progress, run: &TrainingRun, mut work: Work) -> IterationPlan {
+    pub fn plan_after(
+        &mut self,
+        progress: &Progress,
+        run: &TrainingRun,
+        mut work: StepWork,
+    ) -> IterationPlan {
         let iteration = progress.iteration + 1;
         let s = &run.settings;
         // The reference's last iteration only saves.
@@ -470,7 +475,7 @@ fn falling(rate: f64, s: &TrainSettings, iteration: u32) -> f64 {
     rate * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
 }
 
-fn optimizer_step(run: &TrainingRun, iteration: u32, progress: &Progress, work: &Work) -> Step {
+fn optimizer_step(run: &TrainingRun, iteration: u32, progress: &Progress, work: &StepWork) -> Step {
     let s = &run.settings;
     let decay = s.final_decay(iteration);
     let others = s.rate_factor() * decay;

@@ -464,7 +464,7 @@ const FEW_PHOTOS_OPACITY_REG: f64 = 0.003;
 /// Number of photographs from which nothing is adapted to few.
 const MANY_PHOTOS: f64 = 32.0;
 /// Maximum share of omitted Gaussians.
-const MOST_DROPOUT: f64 = 0.9;
+const MAX_DROPOUT: f64 = 0.9;
 
 impl Default for TrainSettings {
     fn default() -> Self {
@@ -614,8 +614,8 @@ impl TrainSettings {
     /// Refuses a value outside its bounds, and settings that exclude each other. The trainer calls this before any work.
     pub fn check(&self) -> Result<()> {
         Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
-        if self.dropout > MOST_DROPOUT {
-            let problem = format!("is {}, must be at most {MOST_DROPOUT}", self.dropout);
+        if self.dropout > MAX_DROPOUT {
+            let problem = format!("is {}, must be at most {MAX_DROPOUT}", self.dropout);
             return Err(Error::argument("dropout", problem));
         }
         if self.depth_points > 0.0 {

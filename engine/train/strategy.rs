@@ -12,7 +12,7 @@ pub use budget::{Budget, GrowthSchedule, QuantilePlace};
 pub use mcmc::Mcmc;
 pub use reference::Reference;
 
-pub use super::schedule::{Actions, Work};
+pub use super::schedule::{Actions, StepWork};
 
 use super::population::Population;
 use super::settings::{StrategyType, TrainSettings};
@@ -88,7 +88,7 @@ pub trait Strategy: Send {
     }
 
     /// Work of an iteration, counted from 1. Depends only on its arguments.
-    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work;
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> StepWork;
 
     /// True if [`Population::statistics`] sums norms of absolute gradients.
     fn absolute_gradients(&self) -> bool {
@@ -105,7 +105,7 @@ pub trait Strategy: Send {
     /// change nothing if `state[STATE_OVERFLOW]` is set.
     fn record_update(&self, _: &mut Recorder, _: &StepInputs) {}
 
-    /// Does one action of an iteration's [`Work::actions`] before the next iteration, the lowest bit first.
+    /// Does one action of an iteration's [`StepWork::actions`] before the next iteration, the lowest bit first.
     ///
     /// # Errors
     /// When the device is lost. The population is then unchanged, or its state is unknown.
@@ -163,8 +163,8 @@ impl Strategy for Fixed {
         settings.refuse(self.name(), &NOT_IN_OTHERS)
     }
 
-    fn work(&self, _: &TrainSettings, _: u32) -> Work {
-        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::NONE }
+    fn work(&self, _: &TrainSettings, _: u32) -> StepWork {
+        StepWork { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::NONE }
     }
 
     fn between_steps(&mut self, _: &mut Population, _: Actions) -> Result<Changes> {

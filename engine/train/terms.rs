@@ -190,16 +190,16 @@ pub struct SparseDepth {
     settings: TrainSettings,
     scene_extent: f32,
     workgroup_size: u32,
-    most_points: u32,
+    max_points: u32,
 }
 
 impl SparseDepth {
-    /// Builds the kernels for views of at most `most_points` points.
+    /// Builds the kernels for views of at most `max_points` points.
     pub fn new(
         context: &Context,
         settings: &TrainSettings,
         scene_extent: f32,
-        most_points: u32,
+        max_points: u32,
     ) -> Result<Self> {
         let (workgroup_size, subgroup_size) = group_sizes(context);
         let strips = LaunchSizes::new(context.limits()).strips;
@@ -210,7 +210,7 @@ impl SparseDepth {
             settings: settings.clone(),
             scene_extent,
             workgroup_size,
-            most_points,
+            max_points,
         })
     }
 }
@@ -227,7 +227,7 @@ impl LossTerm for SparseDepth {
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         vec![
             ("sparse_depth_partials", PartialSums::BYTES),
-            ("sparse_depth_gradients", u64::from(self.most_points.max(1)) * 4),
+            ("sparse_depth_gradients", u64::from(self.max_points.max(1)) * 4),
         ]
     }
 

@@ -12,13 +12,13 @@ use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, Schedule, TrainingRun};
 use super::settings::TrainSettings;
 use super::step::{LossMemory, LossValues, RecordedSteps, StepParts, StepRecorder, StepReport};
-use super::strategy::{Actions, Changes, Strategy, Work};
+use super::strategy::{Actions, Changes, StepWork, Strategy};
 use crate::error::{Error, Result};
 use crate::frame::{
     Blending, PictureCapacity, RenderSettings, SceneBuffers, gaussians_with, planes, subgroups, to_u32,
 };
 use crate::passes::filter_3d::Filter3d;
-use crate::render::{DeviceScene, Failed, Frame, FrameCounts, FrameRun, FrameRunner, Renderer};
+use crate::render::{DeviceScene, Frame, FrameCounts, FrameRun, FrameRunner, Renderer, RunError};
 use crate::scene::{Camera, Exposure, Gaussians, LensEffects, Projection, Twist};
 use crate::vk::{ArenaMemory, Context};
 use std::slice;
@@ -455,12 +455,12 @@ impl Trainer {
         if !plan.work.optimizes {
             return Ok(());
         }
-        let plan = IterationPlan { work: Work { accumulates: false, ..plan.work }, ..plan };
+        let plan = IterationPlan { work: StepWork { accumulates: false, ..plan.work }, ..plan };
         self.photos.prepare(&self.context, plan.iteration)?;
         match self.run_step(&plan) {
-            Err(Failed::OutOfMemory { counts, error }) => self.skip(&plan, &counts, error)?,
+            Err(RunError::OutOfMemory { counts, error }) => self.skip(&plan, &counts, error)?,
             ran => {
-                ran.map_err(Failed::error)?;
+                ran.map_err(RunError::error)?;
                 self.read_losses(&plan)?;
                 self.state.progress = before.after(&plan);
             }
@@ -480,13 +480,13 @@ impl Trainer {
             self.photos.prefetch(&self.context)?;
         }
         let mut ran = self.run_step(&plan);
-        if let Err(Failed::OutOfMemory { counts, .. }) = &ran
+        if let Err(RunError::OutOfMemory { counts, .. }) = &ran
             && self.give_up_reserve(counts)?
         {
             ran = self.run_step(&plan);
         }
         let ran = match ran {
-            Err(Failed::OutOfMemory { counts, error }) => {
+            Err(RunError::OutOfMemory { counts, error }) => {
                 self.skip(&plan, &counts, error)?;
                 let skipped = self.recorder.no_losses();
                 return Ok(StepReport {
@@ -496,7 +496,7 @@ impl Trainer {
                     ..StepReport::new(&plan, self.state.model.scene.count, &skipped, &counts)
                 });
             }
-            ran => ran.map_err(Failed::error)?,
+            ran => ran.map_err(RunError::error)?,
         };
         self.state.done(progress.after(&plan), PeakCounts::of_whole_frame(&plan, &self.run, &ran.counts));
         let losses = self.read_losses(&plan)?;
@@ -596,7 +596,7 @@ impl Trainer {
     }
 
     /// Runs forward, loss, backward and the optimiser's step in one submission.
-    fn run_step(&mut self, plan: &IterationPlan) -> Result<FrameRun, Failed> {
+    fn run_step(&mut self, plan: &IterationPlan) -> Result<FrameRun, RunError> {
         self.recorder.prepare_for(plan)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);

@@ -14,7 +14,7 @@ use crate::scene::Fingerprint;
 use std::sync::{Arc, Mutex};
 
 /// Bytes of snapshots that trigger a submission. A single snapshot may be larger.
-const MOST_BYTES: u64 = 64 << 20;
+const MAX_BYTES: u64 = 64 << 20;
 
 /// Hashes the output of every command of its context, until it is dropped.
 pub struct Audit {
@@ -56,7 +56,7 @@ impl Commands {
 
     /// True if the snapshots take so much memory that they must be hashed.
     pub(super) fn is_full(&self) -> bool {
-        self.bytes > MOST_BYTES
+        self.bytes > MAX_BYTES
     }
 
     /// Returns the copies of a command's outputs: (from, to), of equal sizes.

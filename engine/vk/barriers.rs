@@ -12,12 +12,12 @@ pub(super) const COMPUTE: Stage = Stage::COMPUTE_SHADER;
 pub(super) const TRANSFER: Stage = Stage::ALL_TRANSFER;
 const ARGUMENTS: Stage = Stage::DRAW_INDIRECT;
 
-/// Most places that are compared with the arguments of indirect dispatches. Recording takes nothing from the heap.
+/// Most ranges that are compared with the arguments of indirect dispatches. Recording takes nothing from the heap.
 const MAX_WRITTEN: usize = 32;
 
 /// Vulkan's buffer and the bytes there, or anywhere.
 #[derive(Clone, Copy, Default)]
-struct Place {
+struct BufferRange {
     buffer: vk::Buffer,
     begin: u64,
     end: u64,
@@ -30,22 +30,22 @@ pub(super) struct Barriers {
     is_due: bool,
     /// Stages of the commands before the last barrier.
     before: Stage,
-    /// Stages of the commands behind it.
-    behind: Stage,
+    /// Stages of the commands after it.
+    after: Stage,
     /// Stages that wait for the commands before it.
     waiting: Stage,
     /// Written since indirect arguments were last waited for; the first `written`.
-    places: [Place; MAX_WRITTEN],
+    written_ranges: [BufferRange; MAX_WRITTEN],
     written: usize,
-    /// Number of places that were written before the last barrier.
+    /// Number of ranges that were written before the last barrier.
     settled: usize,
 }
 
 impl Barriers {
-    /// For a recording behind commands of these stages that it must wait for. They may have written indirect arguments.
-    pub(super) fn behind(stages: Stage) -> Self {
-        let mut barriers = Self { behind: stages, written: 1, ..Self::default() };
-        barriers.places[0].is_anywhere = true;
+    /// For a recording after commands of these stages that it must wait for. They may have written indirect arguments.
+    pub(super) fn after(stages: Stage) -> Self {
+        let mut barriers = Self { after: stages, written: 1, ..Self::default() };
+        barriers.written_ranges[0].is_anywhere = true;
         barriers
     }
 
@@ -57,18 +57,18 @@ impl Barriers {
     /// Notes that a command was recorded that writes a buffer.
     pub(super) fn note_write(&mut self, buffer: &Buffer) {
         if self.written < MAX_WRITTEN {
-            self.places[self.written] = Place::of(buffer);
+            self.written_ranges[self.written] = BufferRange::of(buffer);
             self.written += 1;
         } else {
-            self.places[MAX_WRITTEN - 1].is_anywhere = true;
+            self.written_ranges[MAX_WRITTEN - 1].is_anywhere = true;
             self.settled = self.settled.min(MAX_WRITTEN - 1);
         }
     }
 
     /// Returns the stages of a dispatch by these arguments.
     pub(super) fn stages_of_indirect(&self, arguments: &Buffer) -> Stage {
-        let own = Place::of(arguments);
-        match self.places[..self.written].iter().any(|place| place.overlaps(&own)) {
+        let own = BufferRange::of(arguments);
+        match self.written_ranges[..self.written].iter().any(|range| range.overlaps(&own)) {
             true => COMPUTE | ARGUMENTS,
             false => COMPUTE,
         }
@@ -77,19 +77,19 @@ impl Barriers {
     /// Adds a command of these stages. Returns the barrier to record before it, if there must be one.
     pub(super) fn order(&mut self, stages: Stage) -> Option<vk::MemoryBarrier2<'static>> {
         // The last barrier serves if no command was recorded since.
-        if std::mem::take(&mut self.is_due) && !self.behind.is_empty() {
-            (self.before, self.behind, self.waiting) = (self.behind, Stage::NONE, Stage::NONE);
+        if std::mem::take(&mut self.is_due) && !self.after.is_empty() {
+            (self.before, self.after, self.waiting) = (self.after, Stage::NONE, Stage::NONE);
             self.settled = self.written;
         }
         // A barrier after the compute stage also waits for the reading of the arguments, an earlier stage.
-        self.behind |= stages & !ARGUMENTS;
+        self.after |= stages & !ARGUMENTS;
         let new = stages & !self.waiting;
         if new.is_empty() || self.before.is_empty() {
             return None;
         }
         self.waiting |= new;
         if new.contains(ARGUMENTS) {
-            self.places.copy_within(self.settled..self.written, 0);
+            self.written_ranges.copy_within(self.settled..self.written, 0);
             self.written -= std::mem::take(&mut self.settled);
         }
         let barrier = vk::MemoryBarrier2::default().src_stage_mask(self.before).dst_stage_mask(new);
@@ -97,7 +97,7 @@ impl Barriers {
     }
 }
 
-impl Place {
+impl BufferRange {
     fn of(buffer: &Buffer) -> Self {
         let begin = buffer.offset();
         Self { buffer: buffer.raw(), begin, end: begin + buffer.bytes(), is_anywhere: false }

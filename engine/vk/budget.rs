@@ -60,12 +60,12 @@ impl Context {
         if self.max_memory().is_none() || kind == MemoryKind::Offloaded || lock(&self.staging).bytes() > 0 {
             return 0;
         }
-        self.least_ring()
+        self.min_ring()
     }
 
     /// Returns the fewest bytes of the staging ring; 0 without a ring.
-    pub(crate) fn least_ring(&self) -> u64 {
-        if self.device.reads_mapped() { 0 } else { staging::least_room(&self.device) }
+    pub(crate) fn min_ring(&self) -> u64 {
+        if self.device.reads_mapped() { 0 } else { staging::min_room(&self.device) }
     }
 
     /// Frees the staging memory kept for later transfers, if device memory is not mapped. Waits for uploads in flight.
@@ -78,7 +78,7 @@ impl Context {
     /// can shrink to it. So a plan does not depend on earlier transfers.
     pub(crate) fn held_bytes(&self) -> u64 {
         let ring = lock(&self.staging).bytes();
-        self.memory_total().bytes.saturating_sub(ring) + self.least_ring()
+        self.memory_total().bytes.saturating_sub(ring) + self.min_ring()
     }
 
     /// Returns the bytes that [`Context::allocate`] takes for these requests. If it would refuse them, returns their sum.
@@ -235,7 +235,7 @@ impl Context {
 
 const ROUNDS: usize = 3;
 /// Most bytes that the host reads: without a cache it reads a few MB per millisecond at best.
-const MOST_READ: u64 = 8 << 20;
+const MAX_READ: u64 = 8 << 20;
 
 /// Rates of a host-visible memory type, from [`Context::measure_memory`]. Bytes per second.
 #[derive(Clone, Copy, Debug)]
@@ -278,7 +278,7 @@ impl Context {
     /// Returns the paths of uploads and downloads.
     pub fn transfers(&self) -> Transfers {
         Transfers {
-            writes_directly: self.device.place.is_mapped(),
+            writes_directly: self.device.location.is_mapped(),
             reads_directly: self.device.reads_mapped(),
             copy_queue: self.device.copying.is_some(),
         }
@@ -342,7 +342,7 @@ impl Context {
 
 fn host_rates(buffer: &Buffer) -> (f64, f64) {
     let written = vec![0x5A; buffer.bytes() as usize];
-    let mut back = vec![0; buffer.bytes().min(MOST_READ) as usize];
+    let mut back = vec![0; buffer.bytes().min(MAX_READ) as usize];
     let timed = |work: &mut dyn FnMut()| {
         let begin = Instant::now();
         work();

@@ -15,7 +15,7 @@ use super::lock::lock;
 #[cfg(feature = "testing")]
 use super::memory::Block;
 use super::memory::UNBOUNDED;
-use super::memory_types::{HostAllocator, Place, Registry};
+use super::memory_types::{HostAllocator, Location, Registry};
 use super::open_device::RawDevice;
 use super::open_device::{CopyQueue, Device, Owner, QueueLock};
 use super::pipeline::{Jobs, add_shared_layouts};
@@ -347,8 +347,8 @@ impl Context {
         let instance = Instance::new(options.validation, options.debug_printf, &options.instance_extensions)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
         let requested = options.device.clone().or(from_environment);
-        let least = if options.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 };
-        let mut candidate = device::choose(&instance.raw, requested.as_deref(), least)?;
+        let min_version = if options.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 };
+        let mut candidate = device::choose(&instance.raw, requested.as_deref(), min_version)?;
         candidate.features.push_descriptor &= options.push_descriptors;
         if options.device_extensions.contains(&ash::khr::swapchain::NAME) {
             candidate.queue_family = candidate.presenting_family;
@@ -474,10 +474,10 @@ impl Context {
         if !runs {
             memory = compile_only::memory_properties();
         }
-        let place = match candidate.has_unified_memory() || !runs {
-            true => Place::Unified,
-            false if foreign || !options.direct_writes => Place::Card,
-            false => Place::of_card(&memory),
+        let location = match candidate.has_unified_memory() || !runs {
+            true => Location::Unified,
+            false if foreign || !options.direct_writes => Location::Card,
+            false => Location::of_card(&memory),
         };
         // From here on, dropping `open` destroys everything created so far.
         let mut open = Device {
@@ -501,7 +501,7 @@ impl Context {
             },
             limits,
             memory,
-            place,
+            location,
             force_uncached: false,
             timestamp_bits: if options.timestamps && runs { family.timestamp_valid_bits } else { 0 },
             timestamps: AtomicBool::new(true),
@@ -526,7 +526,7 @@ impl Context {
         #[cfg(feature = "testing")]
         {
             open.device.faults.clone_from(&options.faults);
-            open.place = if options.force_staging { Place::Card } else { open.place };
+            open.location = if options.force_staging { Location::Card } else { open.location };
             (open.force_uncached, open.guard_bands) = (options.force_uncached, options.guard_bands);
         }
         if let (Some(family), false) = (candidate.copying_family, foreign) {

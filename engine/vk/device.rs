@@ -220,7 +220,7 @@ impl OptionalFeatures {
 }
 
 /// Returns all devices, in the loader's order. Those with an older Vulkan are unusable.
-fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candidate>> {
+fn candidates(instance: &ash::Instance, min_version: u32) -> Result<Vec<Candidate>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.enumerate_physical_devices() };
     let physical = physical.map_err(vk_error("vkEnumeratePhysicalDevices"))?;
@@ -228,7 +228,7 @@ fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candid
         return Err(Error::NoDevice { reason: "the loader found no device".into() });
     }
     let physical = physical.into_iter().enumerate();
-    physical.map(|(index, physical)| describe(instance, index, physical, least_version)).collect()
+    physical.map(|(index, physical)| describe(instance, index, physical, min_version)).collect()
 }
 
 /// Types of devices and their names, the preferred first.
@@ -243,9 +243,9 @@ const KINDS: [(vk::PhysicalDeviceType, &str); 4] = [
 pub(super) fn choose(
     instance: &ash::Instance,
     requested: Option<&str>,
-    least_version: u32,
+    min_version: u32,
 ) -> Result<Candidate> {
-    let mut all = candidates(instance, least_version)?;
+    let mut all = candidates(instance, min_version)?;
     if let Some(requested) = requested {
         let Some(found) = find(all.iter().map(|c| c.description.name.as_str()), requested) else {
             let names = all.iter().map(|c| format!("{} '{}'", c.description.index, c.description.name));
@@ -282,7 +282,7 @@ pub(super) fn describe(
     instance: &ash::Instance,
     index: usize,
     physical: vk::PhysicalDevice,
-    least_version: u32,
+    min_version: u32,
 ) -> Result<Candidate> {
     // SAFETY: the physical device is of this instance; so in all queries below.
     let basic = unsafe { instance.get_physical_device_properties(physical) };
@@ -298,7 +298,7 @@ pub(super) fn describe(
         device_type: basic.device_type,
         ..Default::default()
     };
-    let missing = if basic.api_version < least_version {
+    let missing = if basic.api_version < min_version {
         Some(format!("Vulkan 1.3 (it has {})", candidate.description.api_version))
     } else {
         examine(instance, physical, &mut candidate)?

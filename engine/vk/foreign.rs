@@ -7,7 +7,7 @@ use super::memory::{Block, Buffer, Life, PLACEMENT_ALIGNMENT, pack, padded};
 use super::open_device::Device;
 use super::pipeline::DescriptorSets;
 use super::profile::{MAX_SCOPES, Profiler, ScopeTime};
-use super::recorder::{Kept, Recorder, Target};
+use super::recorder::{KeepAlive, Recorder, Target};
 use super::requirements::Requirements;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -94,7 +94,7 @@ pub struct RecordSlot {
     queries: vk::QueryPool,
     /// None with push descriptors.
     descriptors: Arc<Mutex<Option<DescriptorSets>>>,
-    kept: Arc<Mutex<Kept>>,
+    retained: Arc<Mutex<KeepAlive>>,
     profiler: Option<Profiler>,
     /// An idle profiler, whose memory is reused.
     spare: Option<Profiler>,
@@ -112,7 +112,7 @@ impl RecordSlot {
             event: vk::Event::null(),
             queries: vk::QueryPool::null(),
             descriptors: Arc::new(Mutex::new(DescriptorSets::new(&inner))),
-            kept: Arc::default(),
+            retained: Arc::default(),
             profiler: None,
             spare: None,
             recorded: false,
@@ -175,14 +175,14 @@ impl RecordSlot {
         self.discarded_late = self.recorded && self.finished().unwrap_or(true);
         self.recorded = false;
         self.retire_profiler();
-        lock(&self.kept).clear();
+        lock(&self.retained).clear();
     }
 
     /// Releases all resources of the last recording, once its command buffer has finished. Scenes and image views dropped
     /// meanwhile are destroyed now, not by the next recording.
     pub fn release(&mut self) -> Result<()> {
         self.check_free()?;
-        lock(&self.kept).clear();
+        lock(&self.retained).clear();
         Ok(())
     }
 
@@ -206,7 +206,7 @@ impl RecordSlot {
         let reset = unsafe { inner.device.reset_event(self.event) };
         reset.map_err(vk_error("vkResetEvent"))?;
         self.recorded = true;
-        lock(&self.kept).clear();
+        lock(&self.retained).clear();
         self.retire_profiler();
         let inner = &self.inner;
         let timed = inner.timestamps.load(Ordering::Relaxed);
@@ -220,8 +220,8 @@ impl RecordSlot {
         }
         let target = Target::Foreign(commands.raw, self.descriptors.clone());
         let profiler = self.spare.take().unwrap_or_default().again(queries);
-        let kept = self.kept.clone();
-        let mut recorder = Recorder::begin(target, inner.clone(), kept, profiler, label);
+        let retained = self.retained.clone();
+        let mut recorder = Recorder::begin(target, inner.clone(), retained, profiler, label);
         recorder.barrier();
         Ok(recorder)
     }
@@ -235,7 +235,10 @@ impl RecordSlot {
     /// # Panics
     /// If the recording was begun in another slot.
     pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
-        assert!(Arc::ptr_eq(&recorder.kept, &self.kept), "a recording ends in the slot that it was begun in");
+        assert!(
+            Arc::ptr_eq(&recorder.retained, &self.retained),
+            "a recording ends in the slot that it was begun in"
+        );
         let whole = recorder.check();
         let (commands, profiler) = recorder.finish_foreign();
         type Stage = vk::PipelineStageFlags2;

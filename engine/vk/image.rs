@@ -118,8 +118,8 @@ impl Image {
             return bad("the handle is null".into());
         }
         if !context.has_images_of(foreign.size) {
-            let ([width, height], most) = (foreign.size, context.limits().max_image_side);
-            return bad(format!("its size is {width} x {height}, each must be from 1 to {most}"));
+            let ([width, height], max) = (foreign.size, context.limits().max_image_side);
+            return bad(format!("its size is {width} x {height}, each must be from 1 to {max}"));
         }
         match foreign.samples.as_raw() {
             1 => {}

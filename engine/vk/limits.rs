@@ -133,11 +133,11 @@ impl Limits {
     /// Returns the largest workgroup size up to `preferred` on this device: a multiple of the subgroup size, within the
     /// limits of invocations and subgroups, and at least one subgroup.
     pub fn workgroup_size(&self, preferred: u32) -> u32 {
-        let most = preferred
+        let max = preferred
             .min(self.max_workgroup_invocations)
             .min(self.max_workgroup_size[0])
             .min(self.max_workgroup_subgroups.saturating_mul(self.subgroup_size));
-        (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
+        (max / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
     }
 
     /// True if kernels with both forms read texels (see [`super::TexelFormat`]). The tuning must choose it, and every
@@ -190,7 +190,7 @@ macro_rules! overrides {
         impl Limits {
             /// Lowers each limit to the override's value. An override never raises a limit, except the fixed subgroup size.
             pub fn lowered(mut self, to: &LimitsOverride) -> Self {
-                $(self.$limit = to.$limit.map_or(self.$limit, |least| least.min(self.$limit));)*
+                $(self.$limit = to.$limit.map_or(self.$limit, |lower| lower.min(self.$limit));)*
                 if let Some(size) = to.fixed_subgroup_size {
                     [self.subgroup_size, self.heavy_subgroup_size, self.own_subgroup_size] = [size; 3];
                     self.subgroup_size_selectable = false;

@@ -5,7 +5,7 @@ use super::debug::vk_error;
 use super::format::TexelFormat;
 use super::limits::Limits;
 use super::lock::lock;
-use super::memory_types::{HostAllocator, HostMemory, MAPPABLE, MemoryKind, MemoryRequest, Place, best};
+use super::memory_types::{HostAllocator, HostMemory, Location, MAPPABLE, MemoryKind, MemoryRequest, best};
 use super::open_device::Device;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -134,7 +134,7 @@ pub(super) struct Block {
     /// Block of the owning context, if another context lent this buffer; kept alive.
     lender: Option<Arc<Block>>,
     /// The recording that kept the block last: see [`super::recorder::Kept`].
-    pub(super) kept_by: AtomicU64,
+    pub(super) retained_by: AtomicU64,
     /// Submissions that use the block and were not waited for.
     pub(super) in_flight: AtomicU32,
     /// Views of ranges (offset, bytes) as texels.
@@ -162,7 +162,7 @@ impl Block {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: false,
             lender: None,
-            kept_by: AtomicU64::new(0),
+            retained_by: AtomicU64::new(0),
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
             guarded: Mutex::default(),
@@ -229,7 +229,7 @@ impl Block {
         let flags = self.inner.memory.memory_types_as_slice()[index as usize].property_flags;
         self.cached = self.inner.caches(flags);
         // Reading a GPU's own memory word by word over the bus is slower than staging: see `is_read_mapped`.
-        if flags.contains(MAPPABLE) && (self.kind != MemoryKind::Device || self.inner.place.is_mapped()) {
+        if flags.contains(MAPPABLE) && (self.kind != MemoryKind::Device || self.inner.location.is_mapped()) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
@@ -259,7 +259,7 @@ impl Block {
         // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
-        if kind != MemoryKind::Device || self.inner.place == Place::Unified {
+        if kind != MemoryKind::Device || self.inner.location == Location::Unified {
             self.mapping = piece.mapped.map(|address| Mutex::new(Mapping(address)));
         }
         Ok(())
@@ -366,11 +366,11 @@ impl Device {
         // The memory of a host's allocator is known only after it is allocated.
         let direct = self.allocator.is_some()
             || best.is_ok_and(|flags| flags.contains(MAPPABLE) && self.caches(flags));
-        self.place == Place::Unified && direct
+        self.location == Location::Unified && direct
     }
 
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
-        best(&self.memory, allowed, kind, self.place).ok_or_else(|| {
+        best(&self.memory, allowed, kind, self.location).ok_or_else(|| {
             let device = self.description.name.clone();
             Error::MissingFeature { device, feature: format!("a memory type for {kind:?} memory") }
         })

@@ -76,7 +76,7 @@ pub unsafe trait HostAllocator: Send + Sync {
 
 /// Location of device memory, as the host sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum Location {
     /// Host memory.
     Unified,
     /// Memory of a card, all of which the host can write (resizable BAR).
@@ -85,13 +85,13 @@ pub(super) enum Place {
     Card,
 }
 
-impl Place {
+impl Location {
     /// True if the host writes device memory directly.
     pub(super) fn is_mapped(self) -> bool {
         self != Self::Card
     }
 
-    /// Returns the location for a card: [`Place::Window`] if the host sees all of its memory, not only a window of 256 MiB.
+    /// Returns the location for a card: [`Location::Window`] if the host sees all of its memory, not only a window of 256 MiB.
     pub(super) fn of_card(memory: &vk::PhysicalDeviceMemoryProperties) -> Self {
         const OLD_WINDOW: u64 = 256 << 20;
         let heaps = memory.memory_heaps_as_slice();
@@ -123,19 +123,25 @@ pub(super) fn best(
     memory: &vk::PhysicalDeviceMemoryProperties,
     allowed: u32,
     kind: MemoryKind,
-    place: Place,
+    place: Location,
 ) -> Option<u32> {
     let (types, heaps) = (memory.memory_types_as_slice(), memory.memory_heaps_as_slice());
     let (none, local, cached) = (Flags::empty(), Flags::DEVICE_LOCAL, MAPPABLE | Flags::HOST_CACHED);
     // (required flags, unwanted flags)
-    let wishes = match (kind, place) {
-        (MemoryKind::Device, Place::Unified) => {
+    let choices = match (kind, place) {
+        (MemoryKind::Device, Location::Unified) => {
             vec![(local | cached, none), (local | MAPPABLE, none), (local, none), (none, none)]
         }
-        (MemoryKind::Device, Place::Window) => vec![(local | MAPPABLE, none), (local, none), (none, none)],
-        (MemoryKind::Device, Place::Card) => vec![(local, Flags::HOST_VISIBLE), (local, none), (none, none)],
+        (MemoryKind::Device, Location::Window) => {
+            vec![(local | MAPPABLE, none), (local, none), (none, none)]
+        }
+        (MemoryKind::Device, Location::Card) => {
+            vec![(local, Flags::HOST_VISIBLE), (local, none), (none, none)]
+        }
         // All memory is host memory, so no type is better than the device's.
-        (MemoryKind::Offloaded, Place::Unified) => return best(memory, allowed, MemoryKind::Device, place),
+        (MemoryKind::Offloaded, Location::Unified) => {
+            return best(memory, allowed, MemoryKind::Device, place);
+        }
         // The last wish is for a processor that is treated as a card.
         (MemoryKind::Offloaded, _) => vec![(cached, local), (MAPPABLE, local), (none, local), (none, none)],
         (MemoryKind::HostVisible, _) => vec![(cached, none), (MAPPABLE, local), (MAPPABLE, none)],
@@ -148,7 +154,7 @@ pub(super) fn best(
             && !flags.intersects(SPECIAL)
     };
     let size = |index: usize| heaps.get(types[index].heap_index as usize).map_or(0, |heap| heap.size);
-    let mut found = wishes.iter().filter_map(|&(with, without)| {
+    let mut found = choices.iter().filter_map(|&(with, without)| {
         // Reversed, because `max_by_key` returns the last maximum and the first type is wanted.
         (0..types.len()).rev().filter(|&i| fits(i, with, without)).max_by_key(|&i| {
             // A window of 256 MiB is too small for arenas; staging memory may be in any heap.
@@ -259,11 +265,11 @@ mod tests {
         memory(&flags.iter().map(|&flags| (flags, 0)).collect::<Vec<_>>(), &[(0, true)])
     }
 
-    fn of(flags: &[Flags], place: Place) -> [Option<u32>; 2] {
+    fn of(flags: &[Flags], place: Location) -> [Option<u32>; 2] {
         [MemoryKind::Device, MemoryKind::HostVisible].map(|kind| best(&types(flags), u32::MAX, kind, place))
     }
 
-    fn offloaded(flags: &[Flags], place: Place) -> Option<u32> {
+    fn offloaded(flags: &[Flags], place: Location) -> Option<u32> {
         best(&types(flags), u32::MAX, MemoryKind::Offloaded, place)
     }
 
@@ -272,7 +278,7 @@ mod tests {
     fn all_of_a_cards_memory_is_written_directly_where_the_host_sees_it() {
         let check = |card: &str, types: &[(Flags, u32)], heaps: &[(u64, bool)], place, chosen: [u32; 2]| {
             let memory = memory(types, heaps);
-            assert_eq!(Place::of_card(&memory), place, "{card}");
+            assert_eq!(Location::of_card(&memory), place, "{card}");
             let kinds = [MemoryKind::Device, MemoryKind::HostVisible, MemoryKind::Offloaded];
             // Offloaded memory and read-back use the same cached host memory.
             let expected = [chosen[0], chosen[1], chosen[1]].map(Some);
@@ -280,21 +286,21 @@ mod tests {
         };
         let nvidia = |window| [(NONE, 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, window)];
         let heaps = [(24_576, true), (32_768, false), (246, true)];
-        check("NVIDIA, RTX 30 and later, the window is a heap", &nvidia(2), &heaps, Place::Card, [1, 3]);
-        check("NVIDIA with resizable BAR", &nvidia(0), &heaps[..2], Place::Window, [4, 3]);
+        check("NVIDIA, RTX 30 and later, the window is a heap", &nvidia(2), &heaps, Location::Card, [1, 3]);
+        check("NVIDIA with resizable BAR", &nvidia(0), &heaps[..2], Location::Window, [4, 3]);
         // Coherent types of AMD by Mesa come last.
         let amd = [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 2), (CACHED, 1), (LOCAL | SPECIAL, 0)];
         let heaps = [(7_936, true), (16_000, false), (256, true)];
-        check("AMD with the old window", &amd, &heaps, Place::Card, [0, 3]);
+        check("AMD with the old window", &amd, &heaps, Location::Card, [0, 3]);
         let amd = [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 0), (CACHED, 1)];
-        check("AMD, all visible", &amd, &[(16_368, true), (16_000, false)], Place::Window, [2, 3]);
+        check("AMD, all visible", &amd, &[(16_368, true), (16_000, false)], Location::Window, [2, 3]);
         let arc = [(LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 0)];
-        check("Intel's Arc", &arc, &[(16_256, true), (31_900, false)], Place::Window, [3, 2]);
+        check("Intel's Arc", &arc, &[(16_256, true), (31_900, false)], Location::Window, [3, 2]);
         let hidden = [(LOCAL, 0), (SEEN, 1)];
-        check("the host does not see it", &hidden, &[(8_192, true), (8_192, false)], Place::Card, [0, 1]);
+        check("the host does not see it", &hidden, &[(8_192, true), (8_192, false)], Location::Card, [0, 1]);
         let special = [(LOCAL, 0), (LOCAL | SEEN | SPECIAL, 0), (CACHED, 1)];
         let heaps = [(8_192, true), (8_192, false)];
-        check("only special types expose it", &special, &heaps, Place::Card, [0, 2]);
+        check("only special types expose it", &special, &heaps, Location::Card, [0, 2]);
     }
 
     /// A card with a window of its memory on the bus: parameters stay where the host does not see them, read-back is
@@ -302,33 +308,33 @@ mod tests {
     #[test]
     fn a_card_keeps_its_memory_and_reads_back_through_the_cache() {
         let card = [NONE, LOCAL, SEEN, CACHED, LOCAL | SEEN, LOCAL | Flags::PROTECTED];
-        assert_eq!(of(&card, Place::Card), [Some(1), Some(3)]);
+        assert_eq!(of(&card, Location::Card), [Some(1), Some(3)]);
         // Without such a window, and without cached memory.
-        assert_eq!(of(&card[..3], Place::Card), [Some(1), Some(2)]);
+        assert_eq!(of(&card[..3], Location::Card), [Some(1), Some(2)]);
         // All of the card's memory on the bus.
-        assert_eq!(of(&[LOCAL | SEEN, SEEN], Place::Card), [Some(0), Some(1)]);
+        assert_eq!(of(&[LOCAL | SEEN, SEEN], Location::Card), [Some(0), Some(1)]);
         // Offloaded memory leaves the card, even if the host cannot see it.
-        assert_eq!(offloaded(&card, Place::Card), Some(3));
-        assert_eq!(offloaded(&[LOCAL, LOCAL | SEEN, NONE], Place::Card), Some(2));
-        assert_eq!(offloaded(&[LOCAL | SEEN], Place::Card), Some(0));
+        assert_eq!(offloaded(&card, Location::Card), Some(3));
+        assert_eq!(offloaded(&[LOCAL, LOCAL | SEEN, NONE], Location::Card), Some(2));
+        assert_eq!(offloaded(&[LOCAL | SEEN], Location::Card), Some(0));
     }
 
     #[test]
     fn unified_memory_is_cached_where_it_can_be() {
         let seen = [LOCAL | SEEN, LOCAL | CACHED];
-        assert_eq!(of(&seen, Place::Unified), [Some(1), Some(1)]);
-        assert_eq!(offloaded(&seen, Place::Unified), Some(1));
-        assert_eq!(of(&[LOCAL, LOCAL | SEEN, SEEN], Place::Unified), [Some(1), Some(2)]);
+        assert_eq!(of(&seen, Location::Unified), [Some(1), Some(1)]);
+        assert_eq!(offloaded(&seen, Location::Unified), Some(1));
+        assert_eq!(of(&[LOCAL, LOCAL | SEEN, SEEN], Location::Unified), [Some(1), Some(2)]);
         // A part of main memory belongs to the device, invisible to the host.
-        assert_eq!(of(&[LOCAL, CACHED], Place::Unified), [Some(0), Some(1)]);
+        assert_eq!(of(&[LOCAL, CACHED], Location::Unified), [Some(0), Some(1)]);
     }
 
     #[test]
     fn only_allowed_types_are_taken() {
         let two = types(&[LOCAL, LOCAL]);
-        assert_eq!(best(&two, 0b10, MemoryKind::Device, Place::Card), Some(1));
-        assert_eq!(best(&two, 0b11, MemoryKind::HostVisible, Place::Card), None);
+        assert_eq!(best(&two, 0b10, MemoryKind::Device, Location::Card), Some(1));
+        assert_eq!(best(&two, 0b11, MemoryKind::HostVisible, Location::Card), None);
         let special = types(&[LOCAL | SPECIAL, NONE]);
-        assert_eq!(best(&special, 0b11, MemoryKind::Device, Place::Card), Some(1));
+        assert_eq!(best(&special, 0b11, MemoryKind::Device, Location::Card), Some(1));
     }
 }

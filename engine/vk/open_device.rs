@@ -8,7 +8,7 @@ use super::device::{DeviceDescription, Instance, queue_families};
 use super::faults::Faults;
 use super::limits::Limits;
 use super::lock::lock;
-use super::memory_types::{HostAllocator, Place, Registry};
+use super::memory_types::{HostAllocator, Location, Registry};
 use super::pipeline_cache::{BuiltPipelines, PipelineCache};
 use super::spirv::SubgroupRules;
 use crate::error::{Error, Result};
@@ -22,18 +22,18 @@ use std::time::Duration;
 /// A device's functions. Destroys the device when dropped, if it is ours.
 pub(super) struct RawDevice {
     pub(super) raw: ash::Device,
-    ours: bool,
+    owned: bool,
     /// For tests: calls that fail on demand.
     #[cfg(feature = "testing")]
     pub(super) faults: Option<Faults>,
 }
 
 impl RawDevice {
-    /// Wraps a device that we created and nothing else destroys (`ours`), or a host's.
-    pub(super) fn new(raw: ash::Device, ours: bool) -> Self {
+    /// Wraps a device that we created and nothing else destroys (`owned`), or a host's.
+    pub(super) fn new(raw: ash::Device, owned: bool) -> Self {
         Self {
             raw,
-            ours,
+            owned,
             #[cfg(feature = "testing")]
             faults: None,
         }
@@ -50,7 +50,7 @@ impl Deref for RawDevice {
 
 impl Drop for RawDevice {
     fn drop(&mut self) {
-        if self.ours {
+        if self.owned {
             // SAFETY: the owner of this value has destroyed all that was made from the device, which is idle.
             unsafe { self.raw.destroy_device(None) }
         }
@@ -78,7 +78,7 @@ pub(super) struct Device {
     pub(super) subgroup_rules: SubgroupRules,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
     /// Location of device memory, which decides between mapping and staging.
-    pub(super) place: Place,
+    pub(super) location: Location,
     /// For tests: device memory counts as not cached by the host.
     pub(super) force_uncached: bool,
     pub(super) timestamp_bits: u32,

@@ -36,10 +36,10 @@ pub(super) fn check(d: &PipelineInfo, shared_bytes: u32, limits: &Limits) -> Res
     let uniform_bytes = d.bindings.iter().map(|b| b.kind.uniform_bytes()).max().unwrap_or(0);
     let subgroups = d.subgroup_size.map_or(0, |size| invocations / u64::from(size));
     let l = limits;
-    let most = l.max_workgroup_invocations;
+    let limit = l.max_workgroup_invocations;
     let (shared_bytes, push_bytes) = (shared_bytes.into(), d.push_bytes.into());
     let bounds = [
-        ("workgroup", invocations, "invocations", most, "maxComputeWorkGroupInvocations"),
+        ("workgroup", invocations, "invocations", limit, "maxComputeWorkGroupInvocations"),
         ("workgroup", x.into(), "invocations", l.max_workgroup_size[0], "maxComputeWorkGroupSize[0]"),
         ("workgroup", y.into(), "invocations", l.max_workgroup_size[1], "maxComputeWorkGroupSize[1]"),
         ("workgroup", z.into(), "invocations", l.max_workgroup_size[2], "maxComputeWorkGroupSize[2]"),

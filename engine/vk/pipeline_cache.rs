@@ -109,11 +109,11 @@ impl PipelineHandles {
 }
 
 /// Entry of one pipeline, empty until it is built. The thread that builds it holds the lock.
-type Place = Arc<Mutex<Option<PipelineHandles>>>;
+type PipelineEntry = Arc<Mutex<Option<PipelineHandles>>>;
 
 /// Pipelines of a device, until it is closed.
 #[derive(Debug, Default)]
-pub(super) struct BuiltPipelines(Mutex<HashMap<PipelineInfo, Place>>);
+pub(super) struct BuiltPipelines(Mutex<HashMap<PipelineInfo, PipelineEntry>>);
 
 impl BuiltPipelines {
     /// Returns a pipeline, and builds it if necessary. A caller waits while another thread builds the same pipeline; threads
@@ -123,8 +123,8 @@ impl BuiltPipelines {
         info: &PipelineInfo,
         build: impl FnOnce() -> Result<PipelineHandles>,
     ) -> Result<PipelineHandles> {
-        let place = lock(&self.0).entry(info.clone()).or_default().clone();
-        let mut built = lock(&place);
+        let entry = lock(&self.0).entry(info.clone()).or_default().clone();
+        let mut built = lock(&entry);
         match *built {
             Some(handles) => Ok(handles),
             None => Ok(*built.insert(build()?)),
@@ -132,15 +132,15 @@ impl BuiltPipelines {
     }
 
     pub(super) fn all(&self) -> Vec<(PipelineInfo, PipelineHandles)> {
-        let places = lock(&self.0).clone();
-        places.into_iter().filter_map(|(info, place)| Some((info, (*lock(&place))?))).collect()
+        let entries = lock(&self.0).clone();
+        entries.into_iter().filter_map(|(info, entry)| Some((info, (*lock(&entry))?))).collect()
     }
 
     /// # Safety
     /// Nothing uses the pipelines any more.
     pub(super) unsafe fn close(&self, device: &ash::Device) {
-        for (_, place) in lock(&self.0).drain() {
-            if let Some(handles) = lock(&place).take() {
+        for (_, entry) in lock(&self.0).drain() {
+            if let Some(handles) = lock(&entry).take() {
                 // SAFETY: the caller's word.
                 unsafe { handles.destroy(device) };
             }
@@ -193,10 +193,10 @@ pub trait PipelineCacheStore: fmt::Debug + Send + Sync {
 #[derive(Default)]
 pub(super) struct PipelineCache {
     pub(super) raw: vk::PipelineCache,
-    own: Option<Own>,
+    stored: Option<StoredCache>,
 }
 
-struct Own {
+struct StoredCache {
     store: Arc<dyn PipelineCacheStore>,
     key: PipelineCacheKey,
     data: Vec<u8>,
@@ -205,7 +205,7 @@ struct Own {
 impl PipelineCache {
     /// Uses a host's cache, which the host still owns.
     pub(super) fn of_host(raw: vk::PipelineCache) -> Self {
-        Self { raw, own: None }
+        Self { raw, stored: None }
     }
 
     /// Creates our own cache, from the data of an earlier run with the same device and driver.
@@ -222,12 +222,15 @@ impl PipelineCache {
         let info = vk::PipelineCacheCreateInfo::default().initial_data(&data);
         // SAFETY: the data are empty, or have the header of this device.
         let raw = unsafe { device.create_pipeline_cache(&info, None) };
-        Ok(Self { raw: raw.map_err(vk_error("vkCreatePipelineCache"))?, own: Some(Own { store, key, data }) })
+        Ok(Self {
+            raw: raw.map_err(vk_error("vkCreatePipelineCache"))?,
+            stored: Some(StoredCache { store, key, data }),
+        })
     }
 
     /// Saves the data and destroys the cache, if it is ours.
     pub(super) fn close(&mut self, device: &ash::Device) {
-        let Some(own) = self.own.take() else { return };
+        let Some(stored) = self.stored.take() else { return };
         // SAFETY: the cache is ours, and no pipeline is being built any more. Pipelines do not refer to it.
         let data = unsafe {
             let data = device.get_pipeline_cache_data(self.raw);
@@ -237,9 +240,9 @@ impl PipelineCache {
         self.raw = vk::PipelineCache::null();
         // A lost device returns no data; the next run then begins with the old data.
         if let Ok(data) = data
-            && data != own.data
+            && data != stored.data
         {
-            own.store.save(&own.key, &data);
+            stored.store.save(&stored.key, &data);
         }
     }
 }

@@ -19,12 +19,12 @@ use ash::vk;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-struct Bound<'a> {
+struct Bindings<'a> {
     buffers: &'a [&'a Buffer],
     images: &'a [&'a Image],
 }
 
-pub(super) struct Kept {
+pub(super) struct KeepAlive {
     /// Unique id of this recording. Every block stores the id of the last recording that keeps it, which avoids searches.
     id: u64,
     pub(super) blocks: Vec<Arc<Block>>,
@@ -32,7 +32,7 @@ pub(super) struct Kept {
     images: Vec<Image>,
 }
 
-impl Default for Kept {
+impl Default for KeepAlive {
     fn default() -> Self {
         Self { id: next_id(), blocks: Vec::new(), pipelines: Vec::new(), images: Vec::new() }
     }
@@ -43,10 +43,10 @@ fn next_id() -> u64 {
     NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
-impl Kept {
+impl KeepAlive {
     fn block(&mut self, block: &Arc<Block>) {
         // If two threads record with the same block, each may keep it more than once.
-        if block.kept_by.swap(self.id, Ordering::Relaxed) != self.id {
+        if block.retained_by.swap(self.id, Ordering::Relaxed) != self.id {
             self.blocks.push(block.clone());
         }
     }
@@ -96,7 +96,7 @@ pub struct Recorder {
     commands: Target,
     inner: Arc<Device>,
     profiler: Profiler,
-    pub(super) kept: Arc<Mutex<Kept>>,
+    pub(super) retained: Arc<Mutex<KeepAlive>>,
     bound: vk::Pipeline,
     hazards: Option<Hazards>,
     order: Barriers,
@@ -132,7 +132,7 @@ impl Recorder {
     pub(super) fn begin(
         commands: Target,
         inner: Arc<Device>,
-        kept: Arc<Mutex<Kept>>,
+        retained: Arc<Mutex<KeepAlive>>,
         profiler: Profiler,
         label: &'static str,
     ) -> Self {
@@ -140,12 +140,12 @@ impl Recorder {
             // It begins with a full barrier.
             Target::Owned(_) => Barriers::default(),
             // The host's commands.
-            Target::Foreign(..) => Barriers::behind(COMPUTE | TRANSFER),
+            Target::Foreign(..) => Barriers::after(COMPUTE | TRANSFER),
         };
         let mut recorder = Self {
             commands,
             profiler,
-            kept,
+            retained,
             order,
             bound: vk::Pipeline::null(),
             hazards: inner.hazard_check.then(Hazards::default),
@@ -169,13 +169,13 @@ impl Recorder {
         }
     }
 
-    pub(super) fn finish(mut self) -> (Commands, Profiler, Kept, Option<audit::Commands>) {
+    pub(super) fn finish(mut self) -> (Commands, Profiler, KeepAlive, Option<audit::Commands>) {
         self.profiler.end(&self.inner, self.raw());
         self.copy_indirect_arguments();
         match self.commands {
             Target::Owned(commands) => {
-                let kept = std::mem::take(&mut *lock(&self.kept));
-                (*commands, self.profiler, kept, self.audit)
+                let retained = std::mem::take(&mut *lock(&self.retained));
+                (*commands, self.profiler, retained, self.audit)
             }
             Target::Foreign(..) => panic!("a foreign command buffer is submitted by its owner"),
         }
@@ -244,7 +244,7 @@ impl Recorder {
         grid: Grid<'_>,
     ) {
         let (buffers, images) = (K::buffers(bind), K::images(bind));
-        let bound = Bound { buffers: buffers.as_ref(), images: images.as_ref() };
+        let bound = Bindings { buffers: buffers.as_ref(), images: images.as_ref() };
         self.declare(&kernel.pipeline, &bound, &grid);
         if matches!(grid, Grid::Of(grid) if grid.contains(&0)) {
             return;
@@ -309,7 +309,7 @@ impl Recorder {
             self.record_due_barrier(TRANSFER);
         }
         for (from, to) in copies {
-            lock(&self.kept).block(to.block());
+            lock(&self.retained).block(to.block());
             from.record_copy(self.raw(), &to);
         }
         self.profiler.commands = Some(profiled);
@@ -336,7 +336,7 @@ impl Recorder {
     }
 
     /// Declares the accesses of a dispatch to the hazard checker.
-    fn declare(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, grid: &Grid<'_>) {
+    fn declare(&mut self, pipeline: &Pipeline, bound: &Bindings<'_>, grid: &Grid<'_>) {
         let Some(hazards) = self.hazards.as_mut().filter(|_| self.failed.is_none()) else { return };
         for (info, buffer) in pipeline.info.bindings.iter().zip(bound.buffers) {
             hazards.add(buffer, info.name, info.access, info.aliased);
@@ -466,14 +466,14 @@ impl Recorder {
     /// Binds the pipeline, its buffers, images and push constants. Returns false if this call or an earlier
     /// one has failed. Nothing may be dispatched then, and the end of the recording reports the error
     /// ([`Recorder::check`]).
-    fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> bool {
+    fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bindings<'_>, push: &[u8]) -> bool {
         if self.failed.is_none() {
             self.failed = self.try_prepare(pipeline, bound, push).err();
         }
         self.failed.is_none()
     }
 
-    fn try_prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> Result<()> {
+    fn try_prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bindings<'_>, push: &[u8]) -> Result<()> {
         let info = &pipeline.info;
         assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", info.name);
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
@@ -531,7 +531,7 @@ impl Recorder {
                 add(write(number, vk::DescriptorType::STORAGE_BUFFER).buffer_info(&buffers[any..=any]));
             }
         }
-        lock(&self.kept).pipeline(pipeline);
+        lock(&self.retained).pipeline(pipeline);
         self.bind(pipeline, &mut writes[..count], push)
     }
 
@@ -539,25 +539,25 @@ impl Recorder {
     fn keep(&mut self, buffer: &Buffer) {
         let block = buffer.block();
         assert!(block.is_of(&self.inner), "buffer '{}' is of another context", buffer.name());
-        lock(&self.kept).block(block);
+        lock(&self.retained).block(block);
     }
 
     fn keep_image(&mut self, image: &Image) {
         assert!(image.is_of(&self.inner), "image '{}' is of another context", image.name());
-        lock(&self.kept).image(image);
+        lock(&self.retained).image(image);
     }
 
     /// Panics for a buffer that cannot be bound.
     fn check_binding(&self, kernel: &str, info: &BindingInfo, buffer: &Buffer) {
         let limits = &self.inner.limits;
         let (role, name, bytes) = (info.name, buffer.name(), buffer.bytes());
-        let (least, most, alignment) = match info.kind {
+        let (min, max, alignment) = match info.kind {
             BindingKind::Uniform { bytes } => (u64::from(bytes), u64::MAX, limits.uniform_alignment),
             _ => (1, limits.max_storage_buffer_range, limits.storage_alignment),
         };
         assert!(
-            (least..=most).contains(&bytes),
-            "{kernel}: '{name}' bound as '{role}' has {bytes} bytes, the limits are {least} and {most}"
+            (min..=max).contains(&bytes),
+            "{kernel}: '{name}' bound as '{role}' has {bytes} bytes, the limits are {min} and {max}"
         );
         assert!(
             buffer.offset().is_multiple_of(alignment),

@@ -91,9 +91,9 @@ pub(super) const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
 ];
 
 /// Smallest allowed values of limits.
-pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
+pub(super) const MIN_LIMITS: [(&str, u64); 4] = [
     ("maxComputeWorkGroupInvocations", 128),
-    ("maxComputeSharedMemorySize", Requirements::LEAST_SHARED_MEMORY as u64),
+    ("maxComputeSharedMemorySize", Requirements::MIN_SHARED_MEMORY as u64),
     ("maxPushConstantsSize", 128),
     ("maxPerStageDescriptorStorageBuffers", BUFFERS as u64),
 ];
@@ -101,19 +101,19 @@ pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
 /// Largest subgroup size for which the smallest allowed workgroup suffices.
 const FEW_LANES: u32 = 32;
 
-/// Returns all of [`LEAST_LIMITS`] that a device with subgroups of this size does not meet.
+/// Returns all of [`MIN_LIMITS`] that a device with subgroups of this size does not meet.
 pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits, subgroup_size: u32) -> impl Iterator<Item = String> {
     let invocations = u64::from(Requirements::workgroup_invocations(subgroup_size));
-    let mut least = LEAST_LIMITS;
-    least[0].1 = invocations.max(least[0].1);
+    let mut required = MIN_LIMITS;
+    required[0].1 = invocations.max(required[0].1);
     let has = [
         l.max_compute_work_group_invocations,
         l.max_compute_shared_memory_size,
         l.max_push_constants_size,
         l.max_per_stage_descriptor_storage_buffers,
     ];
-    let low = least.into_iter().zip(has).filter(|((_, least), has)| u64::from(*has) < *least);
-    low.map(|((name, least), has)| format!("{name} of {least} (it has {has})"))
+    let low = required.into_iter().zip(has).filter(|((_, min), has)| u64::from(*has) < *min);
+    low.map(|((name, min), has)| format!("{name} of {min} (it has {has})"))
 }
 
 /// A feature or an extension that is used if it is enabled. A feature of an extension also needs the extension.
@@ -158,7 +158,7 @@ pub struct Requirements {
 
 impl Requirements {
     /// Smallest allowed maxComputeSharedMemorySize, bytes.
-    pub const LEAST_SHARED_MEMORY: u32 = 16_384;
+    pub const MIN_SHARED_MEMORY: u32 = 16_384;
 
     /// Returns the maxComputeWorkGroupInvocations that kernels with subgroups of this size need. Several subgroups share a
     /// workgroup, at least two if they are large.
@@ -184,7 +184,7 @@ impl Requirements {
                 ash::ext::debug_utils::NAME,
                 "no names and labels in debuggers",
             )],
-            limits: LEAST_LIMITS.to_vec(),
+            limits: MIN_LIMITS.to_vec(),
         }
     }
 }
@@ -204,9 +204,9 @@ impl fmt::Display for Requirements {
         let required = self.features.all().into_iter().filter(|(_, required)| *required);
         rows.extend(required.map(|(name, _)| ("features", name.to_owned())));
         rows.push(("subgroup operations", format!("{} (compute)", operations.join(", "))));
-        rows.extend(self.limits.iter().map(|(name, least)| ("limits", format!("{name} >= {least}"))));
-        let (name, most) = (LEAST_LIMITS[0].0, Self::workgroup_invocations(FEW_LANES + 1));
-        let large = format!("{name} >= {most} with subgroups of more than {FEW_LANES}");
+        rows.extend(self.limits.iter().map(|(name, min)| ("limits", format!("{name} >= {min}"))));
+        let (name, max) = (MIN_LIMITS[0].0, Self::workgroup_invocations(FEW_LANES + 1));
+        let large = format!("{name} >= {max} with subgroups of more than {FEW_LANES}");
         rows.push(("limits", large));
         let without = |name: &str, without: &str| ("optional", format!("{name} (without: {without})"));
         rows.extend(self.optional_features.iter().map(|feature| without(feature.name, feature.without)));
@@ -240,8 +240,8 @@ mod tests {
             Features::REQUIRED.all().into_iter().filter(|(_, required)| !required).map(|(name, _)| name);
         assert!(names.eq(OPTIONAL_FEATURES.iter().map(|feature| feature.name)));
         let low = vk::PhysicalDeviceLimits { max_compute_work_group_invocations: 128, ..Default::default() };
-        assert_eq!(low_limits(&low, 32).count(), LEAST_LIMITS.len() - 1);
-        let said: Vec<_> = low_limits(&low, 64).filter(|said| said.contains("Invocations")).collect();
-        assert_eq!(said, ["maxComputeWorkGroupInvocations of 256 (it has 128)"]);
+        assert_eq!(low_limits(&low, 32).count(), MIN_LIMITS.len() - 1);
+        let limits: Vec<_> = low_limits(&low, 64).filter(|limits| limits.contains("Invocations")).collect();
+        assert_eq!(limits, ["maxComputeWorkGroupInvocations of 256 (it has 128)"]);
     }
 }

@@ -196,8 +196,8 @@ mod tests {
         // It may refuse the module before it has read all of it.
         let _ = validator.stdin.take().expect("a pipe").write_all(bytemuck::cast_slice(module));
         let output = validator.wait_with_output().expect("spirv-val ends");
-        let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-        (!output.status.success()).then(|| said.trim().to_owned())
+        let messages = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+        (!output.status.success()).then(|| messages.trim().to_owned())
     }
 
     /// Returns every module that build.rs made, in each of its forms.
@@ -259,10 +259,10 @@ mod tests {
         let rules =
             |fixed_size, kind| SubgroupRules { fixed_size, reconvergence: Some(kind), broadcasts: false };
         let changed = |module: &[u32]| rules(false, Reconvergence::Maximal).apply(module).into_owned();
-        let unknown =
-            refused(&changed(&modules[0].1)).filter(|said| said.contains("6023") || said.contains("maximal"));
-        if let Some(said) = &unknown {
-            eprintln!("skipped: this spirv-val does not know maximal reconvergence: {said}");
+        let unknown = refused(&changed(&modules[0].1))
+            .filter(|messages| messages.contains("6023") || messages.contains("maximal"));
+        if let Some(messages) = &unknown {
+            eprintln!("skipped: this spirv-val does not know maximal reconvergence: {messages}");
         }
         for (name, module) in &modules {
             let uniform = rules(true, Reconvergence::Uniform).apply(module).into_owned();

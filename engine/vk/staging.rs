@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 const RING_BYTES: u64 = 32 << 20;
 /// Fewest bytes, if memory is bounded: larger than an update that a recording stores itself.
-const LEAST_RING_BYTES: u64 = 1 << 18;
+const MIN_RING_BYTES: u64 = 1 << 18;
 /// Fewest pieces of a ring: the host writes one while the others are copied.
 const PIECES: u64 = 4;
 
@@ -43,14 +43,14 @@ struct Piece {
 impl Ring {
     /// Returns the ring's buffer; allocates it if there is none or it is too small. Pieces in flight keep the old one.
     fn buffer(&mut self, device: &Arc<Device>, bytes: u64) -> Result<Buffer> {
-        let (most, least) = (most_bytes(device), least_bytes(device));
-        let mut wanted = (bytes * PIECES).clamp(LEAST_RING_BYTES, RING_BYTES).min(most);
-        if let Some(buffer) = self.buffer.as_ref().filter(|buffer| buffer.bytes() >= wanted) {
+        let (max, min) = (max_ring_bytes(device), min_ring_bytes(device));
+        let mut ring_bytes = (bytes * PIECES).clamp(MIN_RING_BYTES, RING_BYTES).min(max);
+        if let Some(buffer) = self.buffer.as_ref().filter(|buffer| buffer.bytes() >= ring_bytes) {
             return Ok(buffer.clone());
         }
         // If memory is bounded, use what is left.
         loop {
-            let made = device.allocate("staging", &[("ring", wanted)], &[], MemoryKind::HostVisible, 0);
+            let made = device.allocate("staging", &[("ring", ring_bytes)], &[], MemoryKind::HostVisible, 0);
             match (made, &self.buffer) {
                 (Ok(mut made), _) => {
                     let buffer = made.swap_remove(0);
@@ -61,8 +61,8 @@ impl Ring {
                     return Ok(buffer);
                 }
                 (Err(Error::TooLarge { .. }), Some(smaller)) => return Ok(smaller.clone()),
-                (Err(Error::TooLarge { .. }), None) if wanted > least => {
-                    wanted = (wanted / 2).max(least);
+                (Err(Error::TooLarge { .. }), None) if ring_bytes > min => {
+                    ring_bytes = (ring_bytes / 2).max(min);
                 }
                 (Err(error), _) => return Err(error),
             }
@@ -72,8 +72,8 @@ impl Ring {
     /// Reserves a piece of at most `bytes` bytes: the ring's buffer and a range of it that nothing in flight uses.
     pub(super) fn reserve(&mut self, device: &Arc<Device>, bytes: u64) -> Result<(Buffer, Range<u64>)> {
         let ring = self.buffer(device, bytes)?;
-        let most = ring.bytes() / PIECES / PLACEMENT_ALIGNMENT * PLACEMENT_ALIGNMENT;
-        let length = bytes.min(most);
+        let max = ring.bytes() / PIECES / PLACEMENT_ALIGNMENT * PLACEMENT_ALIGNMENT;
+        let length = bytes.min(max);
         let first = if self.head + length > ring.bytes() { 0 } else { self.head };
         let place = first..first + length;
         let overlaps = |piece: &Piece| piece.bytes.start < place.end && place.start < piece.bytes.end;
@@ -191,16 +191,16 @@ impl Ring {
     }
 }
 
-fn most_bytes(device: &Device) -> u64 {
+fn max_ring_bytes(device: &Device) -> u64 {
     device.limits.max_storage_buffer_range.min(device.limits.max_allocation_bytes)
 }
 
-fn least_bytes(device: &Device) -> u64 {
-    LEAST_RING_BYTES.min(most_bytes(device) / 2)
+fn min_ring_bytes(device: &Device) -> u64 {
+    MIN_RING_BYTES.min(max_ring_bytes(device) / 2)
 }
 
-pub(super) fn least_room(device: &Device) -> u64 {
-    device.allocation_bytes(&[("ring", least_bytes(device))], &[])
+pub(super) fn min_room(device: &Device) -> u64 {
+    device.allocation_bytes(&[("ring", min_ring_bytes(device))], &[])
 }
 
 /// Returns the common part of both barriers of an ownership transfer, from the copy queue to the main queue.

@@ -5,9 +5,9 @@ use super::commands::Commands;
 use super::context::Context;
 use super::lock::lock;
 use super::memory::Buffer;
-use super::memory_types::Place;
+use super::memory_types::Location;
 use super::profile::{self, MAX_SCOPES, Profiler, QUERIES, ScopeTime};
-use super::recorder::{Kept, MAX_UPDATE_BYTES, Recorder};
+use super::recorder::{KeepAlive, MAX_UPDATE_BYTES, Recorder};
 use crate::error::{Error, Result};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -31,7 +31,7 @@ pub struct Pending {
     audit: Option<audit::Commands>,
     submitting: Instant,
     submitted: Instant,
-    kept: Kept,
+    retained: KeepAlive,
 }
 
 impl Pending {
@@ -70,7 +70,7 @@ impl Pending {
 impl Drop for Pending {
     fn drop(&mut self) {
         self.commands.settle();
-        for block in &self.kept.blocks {
+        for block in &self.retained.blocks {
             block.in_flight.fetch_sub(1, Ordering::Release);
         }
     }
@@ -100,9 +100,9 @@ impl Context {
     pub fn submit(&self, mut recorder: Recorder) -> Result<Pending> {
         let submitting = Instant::now();
         recorder.check()?;
-        let (commands, profiler, kept, audit) = recorder.finish();
-        let mut pending = Pending { commands, profiler, audit, submitting, submitted: submitting, kept };
-        for block in &pending.kept.blocks {
+        let (commands, profiler, retained, audit) = recorder.finish();
+        let mut pending = Pending { commands, profiler, audit, submitting, submitted: submitting, retained };
+        for block in &pending.retained.blocks {
             block.in_flight.fetch_add(1, Ordering::Release);
         }
         pending.commands.submit(None)?;
@@ -159,7 +159,7 @@ impl Context {
     /// to wait for the main queue's work. All uploads to a buffer are then `beside`: the host writes only memory that no copy is
     /// known to use.
     pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8], beside: bool) -> Result<()> {
-        let copies = beside && self.device.place == Place::Window && self.device.copying.is_some();
+        let copies = beside && self.device.location == Location::Window && self.device.copying.is_some();
         if !copies && (buffer.block().is_mapped() || self.is_foreign()) {
             return self.upload(buffer, bytes);
         }

@@ -2,7 +2,7 @@
 
 use super::*;
 
-impl Place {
+impl TestFolder {
     /// Runs a training that must refuse before it writes anything.
     fn training_refuses(&self, words: &[&str]) {
         self.run("train -s @data -m @out --quiet").refused(words);
@@ -12,7 +12,7 @@ impl Place {
 
 #[test]
 fn data_sets_that_lack_something() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let data = place.at("data");
     place.training_refuses(&[text(&data)]);
     place.create_folder("data");
@@ -34,7 +34,7 @@ fn data_sets_that_lack_something() {
 /// pictures.
 #[test]
 fn photos_that_cannot_be_trained_on_are_refused_before_they_are_read() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let lens = Intrinsics::from_fov_x(0.8, 60_000, 50_000);
     let lenses = [view(0), Camera::look_at(vec3(0.0, 0.0, -2.5), Vec3::ZERO, Vec3::NEG_Y, lens)];
     let lenses: Vec<_> = (1..).zip(&lenses).map(|(id, camera)| ColmapCamera::pinhole(id, camera)).collect();
@@ -53,11 +53,11 @@ fn photos_that_cannot_be_trained_on_are_refused_before_they_are_read() {
 
 #[test]
 fn zero_points_are_refused_unless_random_ones_are_wanted() {
-    let place = Place::new();
+    let place = TestFolder::new();
     write_model(&place.at("data"), &images(), &PointCloud::default());
     place.training_refuses(&["no points", "--random-points"]);
-    let told = place.run("info @data").ok().stdout;
-    assert!(told.contains("next ") && told.trim_end().ends_with(" --eval --random-points"), "{told}");
+    let output = place.run("info @data").ok().stdout;
+    assert!(output.contains("next ") && output.trim_end().ends_with(" --eval --random-points"), "{output}");
     let train = "train -s @data -m @out --iterations 1 --quiet --strategy reference";
     let run = place.run(format!("{train} --random-points")).ok();
     assert!(run.stderr.starts_with("warning: ") && run.stderr.contains("random"), "{}", run.stderr);
@@ -72,7 +72,7 @@ fn zero_points_are_refused_unless_random_ones_are_wanted() {
 
 #[test]
 fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
-    let place = Place::with_demo();
+    let place = TestFolder::with_demo();
     place.write("demo/sparse/0/points3D.bin", 0_u64.to_le_bytes());
     let found = "no points to start from; 20,000 at which the photos agree stand in for them";
     for options in ["", "--strategy reference --photo-points --checkpoint-iterations 1"] {
@@ -89,7 +89,7 @@ fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
 #[cfg(unix)]
 #[test]
 fn pipes_and_devices_are_no_files() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write_scene("scene.ply", &wall(0));
     let make_pipe =
         |name: &str| nix::unistd::mkfifo(&place.at(name), nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
@@ -124,7 +124,7 @@ fn pipes_and_devices_are_no_files() {
 
 #[test]
 fn parameters_that_are_not_finite() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let mut gaussians = wall(0);
     gaussians.means[7][1] = f32::NAN;
     gaussians.log_scales[9][0] = f32::INFINITY;
@@ -139,7 +139,7 @@ fn parameters_that_are_not_finite() {
 
 #[test]
 fn unknown_device() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let ask = |line: &str, words: &[&str]| {
         finish(place.command(line).args(["--device", "no such card"])).refused(words);
         assert!(!place.has("out"));
@@ -166,7 +166,7 @@ fn no_driver() {
 #[cfg(target_os = "linux")]
 #[test]
 fn no_loader() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     for name in ["libvulkan.so.1", "libvulkan.so"] {
         place.write(name, "");
     }
@@ -177,7 +177,7 @@ fn no_loader() {
 
 #[test]
 fn unwritable_output() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write("out", "a file, not a folder");
     let model = place.at("out/model");
     place.run("train -s @data -m @out/model --quiet").refused(&[text(&model), "cannot create"]);

@@ -7,7 +7,7 @@ const LEFT: &str = "--block=-inf,-inf,-inf,-0.2,inf,inf";
 /// A block starts from the points of the data set or from the Gaussians of a scene, stops and resumes.
 #[test]
 fn a_block_is_trained_among_the_rest_of_its_scene() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.train("coarse", "--iterations 20");
     let init = format!("--init @{}", point_cloud("coarse", 20));
     for (kind, begin) in [("points", ""), ("scene", &init)] {
@@ -58,7 +58,7 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
 
 #[test]
 fn a_block_is_trained_on_parts_of_photos() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.train("coarse", "--iterations 60 --opacity-lr 0.2");
     let begin = format!("train -s @data --init @{}", point_cloud("coarse", 60));
     let run = |model: &str, more: &str| {
@@ -86,7 +86,7 @@ fn a_block_is_trained_on_parts_of_photos() {
 /// The rest of the scene is omitted, and pixels that show it are masked. The training stops and resumes.
 #[test]
 fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.train("coarse", "--iterations 60 --opacity-lr 0.2");
     let init = format!("--init @{}", point_cloud("coarse", 60));
     let run = |model: &str, more: &str| {
@@ -111,7 +111,7 @@ fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
 
 #[test]
 fn senseless_blocks_are_refused_before_the_work() {
-    let place = Place::new();
+    let place = TestFolder::new();
     for (options, words) in [
         ("--block=1,2,3", &["block", "six numbers"][..]),
         ("--block=1,0,0,-1,1,1", &["block", "least side"]),

@@ -8,7 +8,7 @@ use ashsplat_files::ply;
 const SCHEDULE: &str = "--strategy reference --sh_degree 1 --densify_from_iter 5 --densification_interval 10 \
                         --densify_until_iter 35 --opacity_reset_interval 11";
 
-impl Place {
+impl TestFolder {
     fn training(&self, model: &str, more: &str) -> Command {
         self.command(format!("train -s @data -m @{model} --quiet {SCHEDULE} {more}"))
     }
@@ -26,7 +26,7 @@ impl Place {
 
 #[test]
 fn a_resumed_training_equals_one_that_was_never_stopped() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.train("whole", "--iterations 40");
     // Stopped right before a densification and after an opacity reset, from which a run of 33 recovers, too.
     place.train("parts", "--iterations 33 --checkpoint_iterations 20 23");
@@ -62,7 +62,7 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
 /// The same command is repeated until training is done, as a scheduler does.
 #[test]
 fn the_same_command_continues_by_itself() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.train("whole", "--iterations 40");
     let auto = |iterations: &str| {
         let every = "--checkpoint-every 10 --checkpoint_iterations 20 --start_checkpoint auto";
@@ -101,7 +101,7 @@ fn the_same_command_continues_by_itself() {
 /// The end of densification depends on the memory bound: a run that resumes with another bound warns.
 #[test]
 fn another_bound_of_memory_is_a_warning() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let bounded = "--max-memory 1G --checkpoint_iterations 4 6 --iterations 8";
     let resume = "--start_checkpoint @model/chkpnt4.safetensors";
     place.train("model", bounded);
@@ -117,7 +117,7 @@ fn another_bound_of_memory_is_a_warning() {
 /// The error names the total need, although photographs read ahead are the first that do not fit.
 #[test]
 fn memory_error_names_the_need() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let refused = place.attempt("model", "--max-memory 1K");
     assert_eq!(refused.code, Some(2));
     let refused = refused.warns(&["more than 1024 (--max-memory)"]).stderr;
@@ -127,7 +127,7 @@ fn memory_error_names_the_need() {
 
 #[test]
 fn offload_gives_the_same_scene() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let usual = "--iterations 8 --checkpoint_iterations 4";
     place.train("here", usual);
     place.train("there", format!("{usual} --offload"));
@@ -144,7 +144,7 @@ fn offload_gives_the_same_scene() {
 
 #[test]
 fn determinism_is_verified_without_writing() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let said = place.run("train -s @data --verify-determinism 3 --quiet").ok().stdout;
     assert!(said.starts_with("3 iterations twice on ") && said.contains("the same bits"), "{said}");
     assert_eq!(place.at("").read_dir().expect("the folder").count(), 1);
@@ -175,7 +175,7 @@ fn kill(mut child: Running) -> bool {
 #[test]
 fn killed_at_any_moment_training_continues() {
     let kills: u64 = std::env::var("ASHSPLAT_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(4);
-    let place = Place::new();
+    let place = TestFolder::new();
     let every: Vec<String> = (1..120).map(|n| n.to_string()).collect();
     let options = format!("--iterations 120 --checkpoint_iterations {}", every.join(" "));
     place.train("whole", &options);
@@ -234,7 +234,7 @@ fn killed_at_any_moment_training_continues() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.train("model", "--iterations 12 --checkpoint_iterations 5");
     let (before, files) = (place.read("model/chkpnt5.safetensors"), place.files("model"));
     for (saved, words) in
@@ -258,7 +258,7 @@ fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
 
 #[test]
 fn what_cannot_be_saved_is_tried_again() {
-    let place = Place::new();
+    let place = TestFolder::new();
     // These block the paths of the checkpoint, the scene and the test's pictures.
     place.create_folder("model/chkpnt5.safetensors");
     place.write("model/point_cloud", "in the way");
@@ -286,7 +286,7 @@ fn what_cannot_be_saved_is_tried_again() {
 /// After Ctrl-C with --quiet, the message gives a command that resumes from any folder.
 #[test]
 fn a_quiet_training_says_how_to_go_on() {
-    let place = Place::new();
+    let place = TestFolder::new();
     lpips_files::write(&place.at("lpips"), &lpips_files::alexnet(0));
     let train = "train -s data -m model --quiet --iterations 1000000 --lpips-weights lpips";
     let mut command = place.command(format!("{train} {SCHEDULE}"));
@@ -303,7 +303,7 @@ fn a_quiet_training_says_how_to_go_on() {
     let text = place.read_text("model/train_log.csv");
     let last: u32 =
         text.lines().last().and_then(|line| line.split(',').next()?.parse().ok()).expect("a line");
-    let elsewhere = Place::empty();
+    let elsewhere = TestFolder::empty();
     let again = format!("{} --quiet --iterations {}", advice.expect("how to go on"), last + 2);
     finish(elsewhere.command(again).current_dir(elsewhere.at(""))).ok().says(&["lpips_alex"]);
     assert!(!place.ply("model", last + 2).is_empty());
@@ -315,7 +315,7 @@ fn a_quiet_training_says_how_to_go_on() {
 fn a_read_only_folder_is_refused_and_keeps_its_checkpoint() {
     use std::os::unix::fs::{MetadataExt, PermissionsExt};
     use std::os::unix::process::CommandExt;
-    let place = Place::new();
+    let place = TestFolder::new();
     place.train("model", "--iterations 12 --checkpoint_iterations 5");
     let model = place.at("model");
     place.write("file", "no folder");

@@ -15,7 +15,7 @@ fn devices_are_listed_with_their_limits_and_requirements() {
 
 #[test]
 fn info_of_a_data_set() {
-    let report = Place::new().json_of("info @data --eval --json");
+    let report = TestFolder::new().json_of("info @data --eval --json");
     for (name, number) in
         [("images", 9), ("sound_photos", 9), ("train_views", 7), ("test_views", 2), ("points", 400)]
     {
@@ -26,7 +26,7 @@ fn info_of_a_data_set() {
 
 #[test]
 fn info_of_a_ply() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("scene.ply", &wall(2));
     let report = place.json_of("info @scene.ply --json");
     assert_eq!((&report["gaussians"], &report["sh_degree"]), (&Value::from(400), &Value::from(2)));
@@ -45,7 +45,7 @@ fn camera(name: &str, [width, height]: [u32; 2], [x, z]: [f64; 2], focal: u32) -
     })
 }
 
-fn write_cameras(place: &Place, file: &str, cameras: &[Value]) {
+fn write_cameras(place: &TestFolder, file: &str, cameras: &[Value]) {
     place.write(file, Value::from(cameras).to_string());
 }
 
@@ -58,7 +58,7 @@ fn channel(picture: &Path, name: &str) -> Vec<f32> {
 /// The EXR's colour equals the PNG's without the sRGB curve; the wall's depth is 2.
 #[test]
 fn camera_path_is_rendered_to_png_and_exr() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let mut opaque = wall(0);
     opaque.opacity_logits.fill(4.0);
     place.write_scene("scene.ply", &opaque);
@@ -88,7 +88,7 @@ fn camera_path_is_rendered_to_png_and_exr() {
 /// an EXR.
 #[test]
 fn pictures_without_background_have_the_colours_of_what_covers() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let mut gaussians = wall(0);
     gaussians.opacity_logits.fill(-1.5);
     // A uniform grey of 128, whatever the coverage.
@@ -120,7 +120,7 @@ fn pictures_without_background_have_the_colours_of_what_covers() {
 /// A ball stays round in pictures of any shape, and on a curve through cameras of several shapes.
 #[test]
 fn pictures_of_another_shape_show_more_and_stretch_nothing() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     write_balls(&place, "ball.ply", &[([0.0, 0.0, 4.0], 5.0, 0.3)]);
     let [wide, high] = [("a", [160, 120]), ("b", [120, 160])].map(|(n, size)| camera(n, size, [0.0; 2], 150));
     write_cameras(&place, "one.json", std::slice::from_ref(&wide));
@@ -168,7 +168,7 @@ fn pictures_of_another_shape_show_more_and_stretch_nothing() {
 /// Balls to the right of the camera and behind it lie a quarter and half a turn from the middle of a panorama.
 #[test]
 fn pictures_through_a_lens_show_what_lies_beside_and_behind() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     write_balls(&place, "balls.ply", &[([4.0, 0.0, 0.0], 5.0, 0.2), ([-0.5, 0.0, -4.0], 5.0, 0.2)]);
     write_cameras(&place, "path.json", &[camera("a", [160, 120], [0.0; 2], 150)]);
     let run = |options: &str| {
@@ -192,14 +192,14 @@ fn pictures_through_a_lens_show_what_lies_beside_and_behind() {
 /// Cameras that look elsewhere give black pictures: a warning says so, in `eval` too.
 #[test]
 fn pictures_that_show_nothing_are_told() {
-    let place = Place::new();
-    for (z, told) in [(0.0, 0), (-90.0, 1)] {
+    let place = TestFolder::new();
+    for (z, output) in [(0.0, 0), (-90.0, 1)] {
         write_balls(&place, "ball.ply", &[([0.0, 0.0, z], 5.0, 0.3)]);
         for command in ["render @ball.ply -o @out", "eval @ball.ply"] {
             let said = place.run(format!("{command} -s @data --quiet")).ok().stderr;
             let line =
                 "warning: no picture shows a Gaussian: do scene and cameras have the same coordinates?";
-            assert_eq!(said.matches(line).count(), told, "{command}: {said}");
+            assert_eq!(said.matches(line).count(), output, "{command}: {said}");
         }
     }
 }
@@ -207,7 +207,7 @@ fn pictures_that_show_nothing_are_told() {
 /// A sixth of the Gaussians is far away, like floaters or a sky: an orbit shows the others.
 #[test]
 fn an_orbit_does_not_go_by_far_gaussians() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let lit = |far: f32| {
         let ball = |i: u32| {
             let place = vec3((i % 6) as f32, (i / 6 % 6) as f32, (i / 36) as f32) - 2.5;
@@ -226,7 +226,7 @@ fn an_orbit_does_not_go_by_far_gaussians() {
 /// One pixel in front of two Gaussians, at 2 (opacity 0.5) and 10 (0.99).
 #[test]
 fn an_exrs_depth_is_the_mean_or_the_harmonic_mean() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     write_balls(&place, "two.ply", &[([0.0, 0.0, 2.0], 0.0, 0.5), ([0.0, 0.0, 10.0], 9.0, 0.5)]);
     write_cameras(&place, "path.json", &[camera("a", [33, 33], [0.0; 2], 40)]);
     let render = |more: &str| place.run(format!("render @two.ply --path @path.json --quiet -o {more}"));
@@ -242,7 +242,7 @@ fn an_exrs_depth_is_the_mean_or_the_harmonic_mean() {
 }
 
 /// Writes white balls: position, opacity logit, standard deviation.
-fn write_balls(place: &Place, file: &str, balls: &[([f32; 3], f32, f32)]) {
+fn write_balls(place: &TestFolder, file: &str, balls: &[([f32; 3], f32, f32)]) {
     let mut gaussians = Gaussians { sh_degree: 0, ..Default::default() };
     for &(mean, logit, deviation) in balls {
         gaussians.means.push(mean);
@@ -256,7 +256,7 @@ fn write_balls(place: &Place, file: &str, balls: &[([f32; 3], f32, f32)]) {
 
 #[test]
 fn views_that_cannot_be_meant_are_refused() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     write_balls(&place, "scene.ply", &[([0.0, 0.0, 4.0], 5.0, 0.3)]);
     for (option, values) in [
         ("--up", &["0,0,0", "nan,0,1", "1,2"][..]),
@@ -275,7 +275,7 @@ fn views_that_cannot_be_meant_are_refused() {
 
 #[test]
 fn films_are_files_and_never_folders() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("scene.ply", &wall(0));
     let film = |name: &str| format!("@films/{name} --width 40 --orbit 3");
     let render = |more: &str| place.run(format!("render @scene.ply --out {more}"));
@@ -319,7 +319,7 @@ fn films_are_files_and_never_folders() {
 /// keeps its order.
 #[test]
 fn a_models_cameras_are_a_path_by_name() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene(point_cloud("model", 1), &wall(0));
     let path = |file: &str, names: [u32; 3]| {
         let camera = |n: u32| camera(&format!("{n}.jpg"), [32, 24], [f64::from(n) * 0.05, -2.0], 30);
@@ -349,7 +349,7 @@ fn a_window_needs_something_to_show() {
 /// An orbit of a very small scene stays far enough away that not all of it is culled.
 #[test]
 fn orbit_of_a_single_gaussian_shows_it() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     for log_scale in [-1.0_f32, -7.0] {
         write_balls(&place, "scene.ply", &[([3.0, -1.0, 2.0], 4.0, log_scale.exp())]);
         let said = place.run("render @scene.ply --orbit 3 --width 40 -o @out").ok().stdout;
@@ -360,7 +360,7 @@ fn orbit_of_a_single_gaussian_shows_it() {
 /// Cameras in a row that look the same way define no depth: the Gaussians do.
 #[test]
 fn orbit_of_parallel_cameras_shows_the_scene() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let mut gaussians = wall(0);
     gaussians.means.iter_mut().for_each(|mean| mean[2] += 40.0);
     place.write_scene(point_cloud("model", 1), &gaussians);
@@ -374,14 +374,14 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     assert_eq!(said.matches(" 400 of 400 Gaussians visible").count(), 4, "{said}");
 }
 
-fn write_model_cameras(place: &Place, cameras: &[Camera]) {
+fn write_model_cameras(place: &TestFolder, cameras: &[Camera]) {
     let named = ["0.png", "1.png", "2.png"].into_iter().zip(cameras);
     cameras_json::write(place.at("model/cameras.json"), named, &WorldFrame::default()).expect("written");
 }
 
 #[test]
 fn orbit_of_upright_photographs_is_upright() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene(point_cloud("model", 1), &wall(0));
     let [upright, lying] = [[32, 48], [48, 32]];
     for (cameras, options, size) in [
@@ -402,7 +402,7 @@ fn orbit_of_upright_photographs_is_upright() {
 
 #[test]
 fn compiled_kernels_are_kept_between_runs() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("scene.ply", &wall(0));
     let run = || {
         let mut command = place.command("render @scene.ply --orbit 1 --width 16 --height 16 -o @out");

@@ -5,7 +5,7 @@ use ashsplat_files::splats::Format;
 
 #[test]
 fn converted_files_are_rendered_and_described() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let mut gaussians = wall(1);
     gaussians.opacity_logits.fill(3.0);
     place.write_scene("in.ply", &gaussians);
@@ -38,7 +38,7 @@ fn converted_files_are_rendered_and_described() {
 
 #[test]
 fn formats_are_listed() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let listed = place.run("convert --list").ok().stdout;
     let lines: Vec<&str> = listed.lines().collect();
     assert_eq!(lines.len(), Format::ALL.len());
@@ -57,7 +57,7 @@ fn formats_are_listed() {
 /// A move applies to the input before it, and after the output to everything.
 #[test]
 fn files_are_joined_each_with_its_move() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     for (file, x) in [("a.ply", 1.0), ("b.ply", 2.0)] {
         let point = PointCloud { positions: vec![[x, 0.0, 0.0]], colors: vec![[90; 3]] };
         place.write_scene(file, &ashsplat_files::initial_gaussians(&point, 0).expect("a Gaussian"));
@@ -88,7 +88,7 @@ fn files_are_joined_each_with_its_move() {
 
 #[test]
 fn convert_refuses_in_one_line() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write("in.spz", "no splats");
     place.write_scene("in.ply", &wall(0));
     let before = place.read("in.ply");
@@ -120,7 +120,7 @@ fn convert_refuses_in_one_line() {
 /// All commands give the same error, with the command that helps.
 #[test]
 fn scenes_of_other_programs_are_named() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("in.ply", &wall(0));
     let ply = place.read("in.ply");
     let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
@@ -165,7 +165,7 @@ fn scenes_of_other_programs_are_named() {
 #[test]
 #[cfg(unix)]
 fn limits_of_files_and_memory_are_told() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("in.ply", &wall(3));
     // At most eight blocks of 512 or 1024 bytes.
     let mut shell = Command::new("sh");
@@ -221,7 +221,7 @@ fn limits_of_files_and_memory_are_told() {
 /// can differ.
 #[test]
 fn distant_and_tiny_scenes_look_as_others() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let mut near = wall(0);
     near.opacity_logits.fill(2.0);
     for mean in &mut near.means {

@@ -22,14 +22,14 @@ pub(super) fn pack<'a>(archive: &Path, files: impl IntoIterator<Item = (String, 
 }
 
 /// The program with its own folder for temporary files, not yet started.
-fn command(place: &Place, line: &str) -> Command {
+fn command(place: &TestFolder, line: &str) -> Command {
     place.create_folder("temporary");
     let mut command = place.command(line);
     command.env(if cfg!(windows) { "TMP" } else { "TMPDIR" }, place.at("temporary"));
     command
 }
 
-fn unpacked(place: &Place) -> usize {
+fn unpacked(place: &TestFolder) -> usize {
     let entries = std::fs::read_dir(place.at("temporary")).expect("a folder").flatten();
     entries.filter(|entry| entry.path().is_dir()).count()
 }
@@ -39,7 +39,7 @@ const TRAIN: &str = "train -s @data.zip -m @model --iterations 1000000 --quiet";
 /// A page shows the photos that training has unpacked, and all unpacked files are removed at the end.
 #[test]
 fn archives_are_unpacked_once_and_removed() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let files: Vec<(String, Vec<u8>)> = (place.files("data").iter())
         .map(|file| (format!("scene/{}", text(file)), place.read(Path::new("data").join(file))))
         .collect();
@@ -57,7 +57,7 @@ fn archives_are_unpacked_once_and_removed() {
 
 #[test]
 fn archives_are_removed_when_loading_is_interrupted() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     // Photos that are slow to decode.
     let mut photo = Vec::new();
     let grey = image::GrayImage::new(5000, 5000);
@@ -81,7 +81,7 @@ fn load(dataset: &Path) -> Dataset {
 }
 
 /// Writes the city through a lens.
-fn write_city(place: &Place, lens: &str) -> PathBuf {
+fn write_city(place: &TestFolder, lens: &str) -> PathBuf {
     let city = "--scene city --photo-width 64 --dataset-only --quiet";
     place.run(format!("demo --out @{lens} --lens {lens} {city}")).ok();
     place.at(lens).join("dataset")
@@ -98,7 +98,7 @@ fn city_from(pose: &Camera, width: u32) -> (Camera, Photo) {
 #[test]
 fn the_city_through_a_lens_is_the_city() {
     const PHOTO: usize = 5;
-    let place = Place::empty();
+    let place = TestFolder::empty();
     for (lens, model, size) in [("opencv-fisheye", 5, [56, 56]), ("equirectangular", 17, [80, 40])] {
         let folder = write_city(&place, lens);
         let found = colmap::Model::of_dataset(&folder).expect("a model");
@@ -121,8 +121,8 @@ fn the_city_through_a_lens_is_the_city() {
             *sum += linear(rgb);
             *count += 1.0;
         }
-        let most = light.values().map(|(_, count)| *count).fold(0.0, f32::max);
-        light.retain(|_, (_, count)| *count > 0.7 * most);
+        let max = light.values().map(|(_, count)| *count).fold(0.0, f32::max);
+        light.retain(|_, (_, count)| *count > 0.7 * max);
         let difference = |shift: u32| {
             let off = light.iter().map(|(&(x, y), &(sum, count))| {
                 let shown = linear(photo.get_pixel((x + shift).min(size[0] - 1), y).0);
@@ -148,7 +148,7 @@ fn the_city_through_a_lens_is_the_city() {
 #[test]
 fn rows_of_a_rolling_shutter_have_poses_of_their_own() {
     const PHOTO: usize = 5;
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let folder = write_city(&place, "rolling-shutter");
     let file = place.read_json(folder.join("transforms.json"));
     assert_eq!(
@@ -191,7 +191,7 @@ fn rows_of_a_rolling_shutter_have_poses_of_their_own() {
 
 #[test]
 fn options_of_the_demo_that_do_not_fit_are_refused() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let refused = |line: &str, words: &[&str]| {
         place.run(format!("demo --out @none {line}")).refused(words);
         assert!(!place.has("none"));
@@ -223,7 +223,7 @@ fn assert_alike(nerf: &Dataset, colmap: &Dataset) {
 /// trainings have the same bits.
 #[test]
 fn layouts_of_a_scene_load_alike() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let [nerf, colmap] = ["nerf-synthetic", "colmap"].map(|layout| {
         let kind = format!("--layout {layout} --without-sky --points sparse");
         place.run(format!("demo --out @{layout} --dataset-only --quiet {kind}")).ok();

@@ -8,13 +8,13 @@ use ashsplat::train::{MomentState, SceneBlock};
 const STRATEGY: &str = "--strategy reference --densify-from-iter 2 --densification-interval 3";
 
 struct Divided {
-    place: Place,
+    place: TestFolder,
     blocks: Vec<Value>,
 }
 
 impl Divided {
     fn new() -> Divided {
-        let place = Place::with_coarse_model();
+        let place = TestFolder::with_coarse_model();
         place.partition("blocks.json", "--max-gaussians 300 --rounds 2").ok();
         let blocks = list(&place.division(), "blocks").clone();
         assert!(blocks.len() > 2);
@@ -225,7 +225,7 @@ fn what_cannot_be_exchanged_is_refused() {
 
 #[test]
 fn two_exchanges_at_once_are_refused() {
-    let place = Place::with_coarse_model();
+    let place = TestFolder::with_coarse_model();
     place.partition("blocks.json", "--max-gaussians 100000 --rounds 3").ok();
     // A single block is the whole scene: an exchange changes nothing.
     let train = || place.job(1, STRATEGY).ok();

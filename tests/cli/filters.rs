@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn filters_go_from_training_into_files_and_pictures() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place
         .run(
             "train -s @data -m @model --eval --quiet --few-photos off --iterations 20 --filter-3d \

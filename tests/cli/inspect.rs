@@ -26,7 +26,7 @@ fn example() -> Gaussians {
 
 #[test]
 fn the_gaussians_of_a_pixel_make_its_colour() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("example.ply", &example());
     let size = Intrinsics::from_fov_x(0.8, 800, 800);
     let intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 400.0, cy: 400.0, ..size };

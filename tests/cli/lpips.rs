@@ -52,7 +52,7 @@ fn lpips_of_eval_is_that_of_the_twin() {
 
 #[test]
 fn lpips_of_training_is_in_its_results_and_its_report() {
-    let place = Place::new();
+    let place = TestFolder::new();
     write(&place.at("alex"), &alexnet(0));
     let train = |model: &str, more: &str| {
         let run = format!("train -s @data -m @{model} --eval --iterations 4 --quiet {more}");

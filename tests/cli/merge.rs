@@ -3,9 +3,9 @@
 use super::*;
 use ashsplat::scene::Bounds;
 
-impl Place {
-    pub(super) fn with_coarse_model() -> Place {
-        let place = Place::new();
+impl TestFolder {
+    pub(super) fn with_coarse_model() -> TestFolder {
+        let place = TestFolder::new();
         place.train("coarse", "--iterations 12 --eval");
         place
     }
@@ -27,8 +27,8 @@ impl Place {
 
     /// Status of each block, and the number of trained blocks.
     pub(super) fn status(&self) -> (Vec<Value>, Value) {
-        let told = self.json_of("blocks @blocks.json --json");
-        (list(&told, "blocks").clone(), told["trained"].clone())
+        let output = self.json_of("blocks @blocks.json --json");
+        (list(&output, "blocks").clone(), output["trained"].clone())
     }
 
     pub(super) fn division(&self) -> Value {
@@ -88,7 +88,7 @@ pub(super) fn in_core(block: &Value, mean: [f32; 3]) -> bool {
 }
 
 /// Holds a lock file, as another process would.
-pub(super) fn hold(place: &Place, name: &str, holder: &str) -> std::fs::File {
+pub(super) fn hold(place: &TestFolder, name: &str, holder: &str) -> std::fs::File {
     place.write(name.replace(".lock", ".holder"), holder);
     let file = std::fs::File::create(place.at(name)).expect("created");
     file.try_lock().expect("free");
@@ -97,7 +97,7 @@ pub(super) fn hold(place: &Place, name: &str, holder: &str) -> std::fs::File {
 
 #[test]
 fn blocks_are_trained_one_by_one_and_merged() {
-    let place = Place::with_coarse_model();
+    let place = TestFolder::with_coarse_model();
     let mut files = place.files("");
     place.partition("blocks.json", "--max-gaussians 300").ok();
     // Photos are referenced, not copied.
@@ -117,9 +117,9 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert!((written - f64::from(extent)).abs() < 1e-5, "{written} {extent}");
     let coarse = place.gaussians(point_cloud("coarse", 12));
     assert!(blocks.len() > 2, "{division}");
-    let told = place.run("blocks @blocks.json").ok().stdout;
-    assert_says(&told, &[&format!("block 2: waiting, 0/{}\n", blocks[1]["iterations"])]);
-    assert!(told.ends_with(&format!("\n0 of {} blocks trained\n", blocks.len())), "{told}");
+    let output = place.run("blocks @blocks.json").ok().stdout;
+    assert_says(&output, &[&format!("block 2: waiting, 0/{}\n", blocks[1]["iterations"])]);
+    assert!(output.ends_with(&format!("\n0 of {} blocks trained\n", blocks.len())), "{output}");
     for block in blocks {
         let inside = coarse.means.iter().filter(|&&mean| in_core(block, mean)).count();
         assert_eq!(block["gaussians"], inside, "{block}");
@@ -144,8 +144,8 @@ fn blocks_are_trained_one_by_one_and_merged() {
         assert_eq!(status["memory_bytes"], memory);
     }
     place.run("blocks @blocks.json --json --growth 0.5").refused(&["--growth", "1 or more"]);
-    let told = place.run("blocks @blocks.json").ok().stdout;
-    for line in told.lines().take(blocks.len()) {
+    let output = place.run("blocks @blocks.json").ok().stdout;
+    for line in output.lines().take(blocks.len()) {
         assert_says(line, &["trained", " dB, ", " it/s, ", " Gaussians"]);
     }
     // `--watch` ends when all blocks are trained.
@@ -235,7 +235,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
 }
 
 /// `merge --report` measures the scene and the coarse model as `eval` does.
-fn check_quality(place: &Place) {
+fn check_quality(place: &TestFolder) {
     let measured = "merge @blocks.json -o @again.ply --report @quality/page.html --against @coarse";
     let said = place.run(measured).ok().stdout;
     assert!(place.read("again.ply") == place.read("new/scene.ply"), "other bytes");
@@ -247,8 +247,8 @@ fn check_quality(place: &Place) {
         assert!((part("mean_psnr") - real(&table["mean"], "PSNR")).abs() < 0.01, "{results} {table}");
         // Every pixel lies either inside or along a seam.
         let [inside, seam] = ["inside_psnr", "seam_psnr"].map(part);
-        let (least, most) = (inside.min(seam), inside.max(seam));
-        assert!((least..=most).contains(&part("psnr")) && least < most, "{results}");
+        let (min, max) = (inside.min(seam), inside.max(seam));
+        assert!((min..=max).contains(&part("psnr")) && min < max, "{results}");
         let line = format!("{name}: PSNR {:.2} dB on 2 held-out views", part("mean_psnr"));
         assert_says(&said, &[&line]);
     }
@@ -260,7 +260,7 @@ fn check_quality(place: &Place) {
 
 #[test]
 fn jobs_use_the_parts_of_photos_that_show_them() {
-    let place = Place::with_coarse_model();
+    let place = TestFolder::with_coarse_model();
     let parts = "--max-gaussians 300 --margin 0.02 --photo-parts on";
     place.partition("blocks.json", parts).ok();
     let mut division = place.division();
@@ -300,7 +300,7 @@ fn jobs_use_the_parts_of_photos_that_show_them() {
 
 #[test]
 fn two_merges_at_once_are_refused() {
-    let place = Place::with_coarse_model();
+    let place = TestFolder::with_coarse_model();
     place.partition("blocks.json", "--max-gaussians 100000").ok();
     // The photos lie elsewhere, as on another machine.
     place.rename("data", "elsewhere");
@@ -330,7 +330,7 @@ fn two_merges_at_once_are_refused() {
 
 #[test]
 fn what_cannot_be_divided_or_trained_is_refused() {
-    let place = Place::with_coarse_model();
+    let place = TestFolder::with_coarse_model();
     place.partition("plan", "--max-gaussians 300").refused(&["--out", ".json"]);
     let refused = |more: &str, words: &[&str]| {
         place.partition("blocks.json", more).refused(words);
@@ -415,7 +415,7 @@ fn what_cannot_be_divided_or_trained_is_refused() {
 
 #[test]
 fn photos_of_a_single_object_are_used_whole() {
-    let place = Place::with_coarse_model();
+    let place = TestFolder::with_coarse_model();
     let divided = |more: &str| {
         let out = place.partition("blocks.json", &format!("--max-gaussians 500 {more}")).ok();
         (place.division(), out.stdout)

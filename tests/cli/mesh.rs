@@ -7,17 +7,17 @@ const VIEWS: &str = "--orbit 12 --width 96 --height 96 --fov 40";
 
 #[test]
 fn meshes_are_written_whole_and_alike() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("ball.ply", &disks(Vec3::ZERO));
-    let told = place.run(format!("mesh @ball.ply -o @new/ball.obj {VIEWS} --voxel 0.06")).ok().stdout;
-    assert_says(&told, &["ball.obj: ", " triangles, ", "voxels of 0.06"]);
+    let output = place.run(format!("mesh @ball.ply -o @new/ball.obj {VIEWS} --voxel 0.06")).ok().stdout;
+    assert_says(&output, &["ball.obj: ", " triangles, ", "voxels of 0.06"]);
     let lines = std::fs::read_to_string(place.at("new/ball.obj")).expect("an OBJ");
     let numbers = |start: &str| -> Vec<Vec<f64>> {
         let lines = lines.lines().filter_map(|line| line.strip_prefix(start));
         lines.map(|line| line.split(' ').map(|word| word.parse().expect("a number")).collect()).collect()
     };
     let (vertices, triangles) = (numbers("v "), numbers("f "));
-    assert!(vertices.len() > 1000 && triangles.len() > 2000, "{told}");
+    assert!(vertices.len() > 1000 && triangles.len() > 2000, "{output}");
     for vertex in &vertices {
         let radius = vertex[..3].iter().map(|x| x * x).sum::<f64>().sqrt();
         assert!((radius - 1.0).abs() < 0.12 && vertex.len() == 6, "{vertex:?}");
@@ -49,7 +49,7 @@ fn meshes_are_written_whole_and_alike() {
 /// A scene far from the origin keeps its precision: positions are relative to the origin that the file names.
 #[test]
 fn meshes_have_the_scenes_origin() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("ball.ply", &disks(Vec3::ZERO));
     place.run("convert @ball.ply --translate 500000,4000000,100 -o @far.ply").ok();
     place.run(format!("mesh @far.ply -o @far.obj {VIEWS} --voxel 0.06 --quiet")).ok();
@@ -78,7 +78,7 @@ fn meshes_have_the_scenes_origin() {
 
 #[test]
 fn meshes_that_cannot_be_made() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("ball.ply", &disks(Vec3::ZERO));
     place.write_scene("none.ply", &Gaussians::default());
     let refuses = |line: &str, words: &[&str]| {
@@ -104,7 +104,7 @@ fn meshes_that_cannot_be_made() {
 
 #[test]
 fn normals_and_median_depths_are_rendered() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write_scene("ball.ply", &disks(Vec3::ZERO));
     place.run(format!("render @ball.ply -o @one {VIEWS} --normals --depth median --format exr --quiet")).ok();
     let exr = std::fs::read(place.at("one/00000.exr")).expect("an EXR");

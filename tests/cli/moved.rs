@@ -10,8 +10,8 @@ const UTM: DVec3 = DVec3::new(500_000.0, 5_000_000.0, 120.0);
 const OPTIONS: &str = "--iterations 12 --eval";
 
 /// The data set of [`write_dataset`], scaled and then moved.
-fn moved(scale: f64, offset: DVec3) -> Place {
-    let place = Place::new();
+fn moved(scale: f64, offset: DVec3) -> TestFolder {
+    let place = TestFolder::new();
     let (mut lines, mut points) = (String::new(), String::new());
     for image in images() {
         // Offset from zero, where single precision is coarser than doubles at the offset.
@@ -30,7 +30,7 @@ fn moved(scale: f64, offset: DVec3) -> Place {
 }
 
 /// A data set at the origin, and one in map coordinates.
-fn near_and_far() -> [Place; 2] {
+fn near_and_far() -> [TestFolder; 2] {
     [DVec3::ZERO, UTM].map(|offset| moved(1.0, offset))
 }
 
@@ -41,7 +41,7 @@ fn without_origin(ply: Vec<u8>) -> Vec<u8> {
 }
 
 /// Evaluates the model. Returns its PSNR, and what is printed on stderr.
-fn measured(place: &Place) -> (Value, String) {
+fn measured(place: &TestFolder) -> (Value, String) {
     let run = place.run("eval @model --quiet --json").ok();
     (place.read_json("model/results.json")["ours_12"]["PSNR"].clone(), run.stderr)
 }
@@ -57,13 +57,13 @@ fn a_far_data_set_trains_to_the_bits_of_one_at_the_origin() {
     assert!(without_origin(far.read("model/input.ply")) == near.read("model/input.ply"), "other points");
     // Other programs read cameras.json and point_cloud.ply together.
     let frame = WorldFrame { origin: UTM, unit: 1.0 };
-    let cameras = |place: &Place, frame: &WorldFrame| {
+    let cameras = |place: &TestFolder, frame: &WorldFrame| {
         cameras_json::read(place.at("model/cameras.json"), frame).expect("cameras")
     };
     assert_eq!(cameras(&far, &frame), cameras(&near, &WorldFrame::default()));
     assert_eq!(measured(&far).0, measured(&near).0);
     // A scene for --init is moved into the data set's frame.
-    let begun = |place: &Place| {
+    let begun = |place: &TestFolder| {
         place.train("init", format!("{OPTIONS} --init @{}", point_cloud("model", 12)));
         place.ply("init", 12)
     };
@@ -108,7 +108,7 @@ fn an_origin_that_a_scene_has_lost_is_found_or_told() {
 
 #[test]
 fn a_data_set_in_other_units_trains_alike() {
-    let scene = |place: &Place, model: &str| {
+    let scene = |place: &TestFolder, model: &str| {
         let path = place.at(point_cloud(model, 12));
         let scene = splats::read(path, &ReadOptions::default()).expect("a PLY");
         (scene.gaussians.means, scene.header.unit)
@@ -117,7 +117,7 @@ fn a_data_set_in_other_units_trains_alike() {
     near.train("model", OPTIONS);
     let (expected, unit) = scene(&near, "model");
     assert_eq!(unit, None);
-    let trained = |place: &Place, scale: f64| {
+    let trained = |place: &TestFolder, scale: f64| {
         let block = format!("--block=-inf,-inf,-inf,{},inf,inf --margin {}", -0.5 * scale, 0.3 * scale);
         place.train("block", format!("{OPTIONS} {block}"));
         scene(place, "block").0.len()

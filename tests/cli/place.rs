@@ -3,28 +3,28 @@
 use super::*;
 
 /// A folder. In command lines, `@NAME` is the path of a file or folder in it.
-pub(crate) struct Place {
+pub(crate) struct TestFolder {
     path: PathBuf,
     /// Removes a temporary folder at the end.
     _temporary: Option<TempDir>,
 }
 
-impl Place {
-    pub(crate) fn empty() -> Place {
+impl TestFolder {
+    pub(crate) fn empty() -> TestFolder {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        Place { path: folder.path().to_owned(), _temporary: Some(folder) }
+        TestFolder { path: folder.path().to_owned(), _temporary: Some(folder) }
     }
 
     /// An empty folder below `target`, which stays.
-    pub(crate) fn lasting(name: &str) -> Place {
+    pub(crate) fn lasting(name: &str) -> TestFolder {
         let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         std::fs::remove_dir_all(&path).ok();
-        Place { path, _temporary: None }
+        TestFolder { path, _temporary: None }
     }
 
     /// A folder with the data set of [`write_dataset`] as `data`.
-    pub(crate) fn new() -> Place {
-        let place = Place::empty();
+    pub(crate) fn new() -> TestFolder {
+        let place = TestFolder::empty();
         write_dataset(&place.at("data"));
         place
     }
@@ -59,11 +59,11 @@ impl Place {
     }
 
     /// Starts the program and hears its stderr.
-    pub(crate) fn start(&self, line: impl AsRef<str>) -> Beside {
+    pub(crate) fn start(&self, line: impl AsRef<str>) -> BackgroundRun {
         let mut command = self.command(line);
         let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
         let lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
-        Beside { child, lines: Box::new(lines.map(|line| with_slashes(&line))) }
+        BackgroundRun { child, lines: Box::new(lines.map(|line| with_slashes(&line))) }
     }
 
     pub(crate) fn read(&self, name: impl AsRef<Path>) -> Vec<u8> {
@@ -128,13 +128,13 @@ pub(crate) fn point_cloud(model: &str, iteration: u32) -> String {
     format!("{model}/point_cloud/iteration_{iteration}/point_cloud.ply")
 }
 
-pub(crate) struct Beside {
+pub(crate) struct BackgroundRun {
     pub(crate) child: Running,
     /// The lines of its stderr.
     pub(crate) lines: Box<dyn Iterator<Item = String>>,
 }
 
-impl Beside {
+impl BackgroundRun {
     #[track_caller]
     pub(crate) fn wait_for(&mut self, beginning: &str) -> String {
         self.lines.find(|line| line.starts_with(beginning)).unwrap_or_else(|| panic!("no line '{beginning}'"))

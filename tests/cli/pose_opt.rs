@@ -89,13 +89,13 @@ fn away(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> [f64; 2] {
     [mean(&angle), mean(&distance) / extent_of(true_ones)]
 }
 
-fn cameras_of(place: &Place, model: &str) -> Vec<NamedCamera> {
+fn cameras_of(place: &TestFolder, model: &str) -> Vec<NamedCamera> {
     cameras_json::read(place.at(model).join("cameras.json"), &WorldFrame::default()).expect("cameras")
 }
 
 #[test]
 fn poses_of_the_demo_are_found_again() {
-    let place = Place::with_demo();
+    let place = TestFolder::with_demo();
     let [true_ones, moved] = perturb(&place.at("demo"));
     // Fixed Gaussians, because new ones could fit a photograph at its wrong pose.
     let fixed = format!("--iterations {ITERATIONS} --position_lr_max_steps {ITERATIONS} --strategy fixed");
@@ -146,7 +146,7 @@ fn poses_of_the_demo_are_found_again() {
 /// training's poses.
 #[test]
 fn poses_of_halves_stand_under_their_names() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let few = "--pose-lr 1e-3 --iterations 40 --sh-degree 0 --eval-share 0 --quiet";
     place.run(format!("train -s @data -m @model --eval --train-test-exp --pose-opt {few}")).ok();
     let given = Model::read(&colmap::find(place.at("data")).expect("a folder")).expect("a model");

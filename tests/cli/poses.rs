@@ -6,12 +6,12 @@ use std::os::unix::fs::MetadataExt;
 use std::os::unix::process::CommandExt;
 
 /// A folder with photographs without cameras, and the model that the stand-in produces.
-struct Photographs(Place);
+struct Photographs(TestFolder);
 
 impl Photographs {
     /// `photographs`: folder for the photographs.
     fn new(photographs: &str) -> Self {
-        let place = Place::new();
+        let place = TestFolder::new();
         place.create_folder("fake");
         place.rename("data/sparse/0", "fake/model");
         place.create_folder(Path::new(photographs).parent().expect("a parent"));

@@ -17,7 +17,7 @@ const SHORT: &str = "--quiet --eval-share 0 --sh-degree 1 --sh-degree-interval 6
 
 #[test]
 fn every_strategy_resumes_and_verifies() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let mut ends = Vec::new();
     for (number, way) in STRATEGIES.iter().enumerate() {
         let name = number.to_string();
@@ -42,7 +42,7 @@ fn every_strategy_resumes_and_verifies() {
 /// 3DGS-MCMC starts with more opaque, smaller Gaussians. A given scene keeps its values.
 #[test]
 fn a_strategy_begins_with_its_own_values() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let begun = |name: &str, more: &str| -> Gaussians {
         // The last iteration makes no step.
         place.run(format!("train -s @data -m @{name} --iterations 1 --few-photos off {SHORT} {more}")).ok();
@@ -68,7 +68,7 @@ fn a_strategy_begins_with_its_own_values() {
 
 #[test]
 fn contradictions_are_refused_before_the_work() {
-    let place = Place::new();
+    let place = TestFolder::new();
     for (given, words) in [
         ("--preset fast --strategy mcmc", ["the strategy differs from the preset's", "leave out"]),
         ("--strategy mcmc --cap-max 7", ["cap_max: 7 is less than the 400", "raise it"]),
@@ -86,11 +86,11 @@ fn contradictions_are_refused_before_the_work() {
 
 const SCHEDULE: &str = "--sh_degree 0 --eval-share 0";
 
-fn train(place: &Place, model: &str, more: &str) -> Finished {
+fn train(place: &TestFolder, model: &str, more: &str) -> Finished {
     place.run(format!("train -s @data -m @{model} --iterations 12 {SCHEDULE} {more}"))
 }
 
-fn setting(place: &Place, model: &str, name: &str) -> String {
+fn setting(place: &TestFolder, model: &str, name: &str) -> String {
     let dump = place.read_text(format!("{model}/settings.toml"));
     let line = dump.lines().find_map(|line| line.strip_prefix(&format!("{name} = ")));
     line.unwrap_or_else(|| panic!("no {name} in {dump}")).to_owned()
@@ -98,17 +98,17 @@ fn setting(place: &Place, model: &str, name: &str) -> String {
 
 #[test]
 fn growth_that_comes_too_late_is_told() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let growth = "--preset reference --densify-from-iter 2 --densification-interval";
-    let told = "at iteration 8, is 4 iterations before the end";
-    train(&place, "late", &format!("{growth} 8")).ok().warns(&[told]);
+    let output = "at iteration 8, is 4 iterations before the end";
+    train(&place, "late", &format!("{growth} 8")).ok().warns(&[output]);
     assert!(!train(&place, "last", &format!("{growth} 12")).ok().stderr.contains("the last densification"));
 }
 
 /// Data sets with few photos get special settings, and one line says so. Given options have priority.
 #[test]
 fn few_photos_are_noticed_and_said() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let setting = |model: &str, name: &str| setting(&place, model, name);
     // The line about few photos, if any.
     let line_of = |run: Finished| -> Option<String> {
@@ -155,7 +155,7 @@ fn few_photos_are_noticed_and_said() {
 /// Exposures are switched on where photos differ in them. The same command continues with them, and one photo does not matter.
 #[test]
 fn presets_learn_exposures_where_photos_differ_in_them() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let run = |model: &str, more: &str| {
         place.run(format!("train -s @data -m @{model} --preset fast {SCHEDULE} {more}")).ok().stderr
     };
@@ -179,7 +179,7 @@ fn presets_learn_exposures_where_photos_differ_in_them() {
 /// training.
 #[test]
 fn points_are_taken_for_depths_where_photos_show_them() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     write_observed(&place.at("data"));
     train(&place, "model", "--few-photos off --depth-points 0.1 --eval").ok();
     assert_eq!(setting(&place, "model", "depth_points"), "0.1");
@@ -199,7 +199,7 @@ const FEW: &str = "--iterations 2 --sh-degree 0 --eval-share 0";
 /// An error names each such setting and what would use it. No folder is created.
 #[test]
 fn settings_without_effect_are_refused() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write_scene("scene.ply", &wall(0));
     place.write("my.toml", "lens_lr = 0.5\n");
     for (options, words) in [
@@ -227,7 +227,7 @@ fn settings_without_effect_are_refused() {
 
 #[test]
 fn options_without_effect_are_refused() {
-    let place = Place::new();
+    let place = TestFolder::new();
     for path in ["scene.ply", &point_cloud("model", 7)] {
         place.write_scene(path, &wall(0));
     }
@@ -253,7 +253,7 @@ fn options_without_effect_are_refused() {
 /// Explicit defaults, settings dumped by a run, and settings that a file itself enables are accepted.
 #[test]
 fn settings_that_are_listed_without_effect_are_read() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let train = |model: &str, more: &str| {
         place.run(format!("train -s @data -m @{model} --quiet {FEW} {more}")).ok();
         place.read_text(format!("{model}/settings.toml"))

@@ -4,8 +4,8 @@ use super::*;
 use crate::common::splats::scene;
 use serde_json::json;
 
-fn with_scene(gaussians: usize) -> Place {
-    let place = Place::empty();
+fn with_scene(gaussians: usize) -> TestFolder {
+    let place = TestFolder::empty();
     place.write_scene("scene.ply", &scene(gaussians, 1));
     place
 }
@@ -30,17 +30,17 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     let place = with_scene(400);
     // Writes a tree. Returns its root tile, the root's error, and what is printed.
     let tree = |scene: &str, tree: &str, options: &str| {
-        let told = place.run(format!("tiles @{scene} -o @{tree} {options}")).ok().stdout;
+        let output = place.run(format!("tiles @{scene} -o @{tree} {options}")).ok().stdout;
         let root = place.read_json(format!("{tree}/tileset.json"))["root"].clone();
         let error = root["geometricError"].as_f64().expect("an error");
-        (root, error, told)
+        (root, error, output)
     };
     let small = "--max-gaussians 50";
-    let (root, error, told) = tree("scene.ply", "tiles", small);
+    let (root, error, output) = tree("scene.ply", "tiles", small);
     let (mut gaussians, mut tiles) = (0, 0);
     check(&root, &mut gaussians, &mut tiles);
     assert_eq!(gaussians, 400);
-    assert_says(&told, &["400 Gaussians", &format!("{tiles} tiles")]);
+    assert_says(&output, &["400 Gaussians", &format!("{tiles} tiles")]);
     // Pictures 20 units wide, whose channels differ by less than 1, and 3 levels.
     assert!((0.1..80.0).contains(&error), "{error}");
     // Packed: smaller files of the same tree and the same scene.
@@ -85,8 +85,8 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
 #[test]
 fn a_scene_becomes_a_streamed_sog() {
     let place = with_scene(20_000);
-    let told = place.run("tiles @scene.ply -o @one --sog --max-gaussians 6000").ok().stdout;
-    assert_says(&told, &["20,000 Gaussians", "lod-meta.json", "2 levels", "25,000 Gaussians in all"]);
+    let output = place.run("tiles @scene.ply -o @one --sog --max-gaussians 6000").ok().stdout;
+    assert_says(&output, &["20,000 Gaussians", "lod-meta.json", "2 levels", "25,000 Gaussians in all"]);
     place.run("tiles @scene.ply -o @other --sog --max-gaussians 6000").ok();
     assert_eq!(place.files("one"), place.files("other"));
     for file in place.files("one") {
@@ -101,8 +101,8 @@ fn a_scene_becomes_a_streamed_sog() {
     for (level, whole) in [("0", 20_000), ("1", 5000)] {
         assert_eq!(regions.iter().map(|region| count(region, level)).sum::<u64>(), whole);
     }
-    let told = place.run("convert @one @back.ply").ok().stderr;
-    assert_says(&told, &["the finest of 2 levels"]);
+    let output = place.run("convert @one @back.ply").ok().stderr;
+    assert_says(&output, &["the finest of 2 levels"]);
     place.run("convert @scene.ply @whole.sog").ok();
     let pictures = ["scene.ply", "whole.sog", "back.ply", "one/lod-meta.json"].map(|scene| {
         place.run(format!("render @{scene} -o @p.png --orbit 1 --width 96 --height 64 --quiet")).ok();
@@ -143,7 +143,7 @@ fn tiles_refuse_by_name() {
     // An empty folder is replaced, but not one behind a link.
     #[cfg(unix)]
     {
-        let away = Place::empty();
+        let away = TestFolder::empty();
         std::os::unix::fs::symlink(away.at(""), place.at("link")).expect("a link");
         place.run("tiles @scene.ply -o @link").refused(&["link", "cannot be replaced"]);
         assert!(std::fs::read_dir(away.at("")).is_ok_and(|mut entries| entries.next().is_none()));
@@ -159,8 +159,8 @@ fn a_tree_is_drawn_within_a_budget() {
     place.run("tiles @scene.ply -o @tiles --max-gaussians 50").ok();
     // Numbers of Gaussians drawn.
     let drawn = |scene: &str, options: &str| -> Vec<u32> {
-        let told = place.run(format!("render @{scene} --width 64 -o @pictures {options}")).ok().stdout;
-        told.lines().filter_map(|line| line.split(" of ").nth(1)?.split(' ').next()?.parse().ok()).collect()
+        let output = place.run(format!("render @{scene} --width 64 -o @pictures {options}")).ok().stdout;
+        output.lines().filter_map(|line| line.split(" of ").nth(1)?.split(' ').next()?.parse().ok()).collect()
     };
     assert_eq!(drawn("tiles", "--orbit 2"), [400, 400]);
     // Opens the tileset by its description; other commands explain what the folder is.

@@ -7,10 +7,10 @@ use glam::{Mat3, Quat};
 use std::sync::OnceLock;
 
 /// A folder with a data set, a model trained on it for a few iterations, and the training's stdout; created once.
-pub(super) fn trained() -> &'static Place {
-    static TRAINED: OnceLock<Place> = OnceLock::new();
+pub(super) fn trained() -> &'static TestFolder {
+    static TRAINED: OnceLock<TestFolder> = OnceLock::new();
     TRAINED.get_or_init(|| {
-        let place = Place::lasting("cli");
+        let place = TestFolder::lasting("cli");
         write_dataset(&place.at("data"));
         // Option names with hyphens and with underscores.
         let schedule = "--iterations 30 --sh_degree 1 --sh-degree-interval=10 --test_iterations 10";
@@ -89,12 +89,12 @@ fn log_has_a_line_for_each_iteration() {
 
 #[test]
 fn info_says_how_many_gaussians_fit() {
-    let most = |memory: &str| {
+    let max = |memory: &str| {
         let report = trained().json_of(format!("info @data --json --max-memory {memory}"));
         ["default", "--sh-storage f32", "--sh-storage f32 --moments f32"]
             .map(|storage| report["most_gaussians"][storage].as_u64().unwrap_or_else(|| panic!("{report}")))
     };
-    let ([usual, floats, all_floats], more) = (most("64M"), most("128M"));
+    let ([usual, floats, all_floats], more) = (max("64M"), max("128M"));
     assert!(usual > floats && floats > all_floats && all_floats > 0, "{usual} {floats} {all_floats}");
     assert!(more[0] > usual, "{more:?}");
     let said = trained().run("info @data --max-memory 64M").ok().stdout;
@@ -175,7 +175,7 @@ fn renders_its_own_cameras_and_those_of_a_data_set() {
 /// the data set again, turn it the same way.
 #[test]
 fn level_is_kept_in_what_is_written() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let turn = Quat::from_rotation_z(1.2) * Quat::from_rotation_x(0.4);
     let tilted = |camera: Camera| {
         let rotation = camera.camera_from_world * Mat3::from_quat(turn.inverse());
@@ -226,19 +226,19 @@ fn inspect_takes_the_trainings_cameras() {
 }
 
 /// The demo after a few iterations, and its stdout; created once, because photographing it takes seconds.
-fn demo() -> &'static (Place, String) {
-    static DEMO: OnceLock<(Place, String)> = OnceLock::new();
+fn demo() -> &'static (TestFolder, String) {
+    static DEMO: OnceLock<(TestFolder, String)> = OnceLock::new();
     DEMO.get_or_init(|| {
-        let place = Place::lasting("demo");
+        let place = TestFolder::lasting("demo");
         let said = place.run("demo --out @demo --iterations 6 --quiet").ok().stdout;
         (place, said)
     })
 }
 
-impl Place {
+impl TestFolder {
     /// A folder with the demo's data set as `demo`.
-    pub(super) fn with_demo() -> Place {
-        let (place, data) = (Place::empty(), Path::new("demo/dataset"));
+    pub(super) fn with_demo() -> TestFolder {
+        let (place, data) = (TestFolder::empty(), Path::new("demo/dataset"));
         for file in demo().0.files(data) {
             place.write(Path::new("demo").join(&file), demo().0.read(data.join(file)));
         }
@@ -266,7 +266,7 @@ fn demo_leaves_data_set_sheet_and_scene() {
 /// The point cloud of an earlier, longer training in the same folder is not mistaken for the new one.
 #[test]
 fn newest_point_cloud_counts_not_the_highest_number() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let train = "train -s @data -m @model --quiet";
     let first = place.run(format!("{train} --iterations 5 --checkpoint_iterations 3"));
     assert_eq!(first.stderr, "");
@@ -290,7 +290,7 @@ fn newest_point_cloud_counts_not_the_highest_number() {
 
 #[test]
 fn a_training_that_fails_saves_what_it_has() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write("model/test", "no folder");
     let run = place.run("train -s @data -m @model --quiet --iterations 9 --eval --test_iterations 6");
     // Before the end this is a warning, and the measurements are kept.
@@ -307,7 +307,7 @@ fn a_training_that_fails_saves_what_it_has() {
 /// Every Gaussian is too faint and is pruned.
 #[test]
 fn training_ends_when_nothing_is_left() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let schedule = "--densify_from_iter 2 --densification_interval 2 --densify_until_iter 20";
     let faint = "--iterations 30 --min_opacity 1 --strategy reference";
     let run = place.run(format!("train -s @data -m @model --quiet {faint} {schedule}"));
@@ -319,7 +319,7 @@ fn training_ends_when_nothing_is_left() {
 /// program.
 #[test]
 fn ctrl_c_saves() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let mut training =
         place.start("train -s @data -m @out --iterations 1000000 --max-memory 2048M --offload 1G");
     let first = training.wait_for("100/1000000");
@@ -349,7 +349,7 @@ fn ctrl_c_saves() {
 #[cfg(unix)]
 #[test]
 fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write("out/point_cloud", "no folder");
     let mut training = place.start("train -s @data -m @out --iterations 1000000");
     training.wait_for("100/1000000");
@@ -365,7 +365,7 @@ fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
 /// Photographs that do not fit are read during training, and nothing else changes.
 #[test]
 fn photos_may_stay_on_disk() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let train = |data: &str, model: &str, more: &str| {
         let run =
             place.run(format!("train -s @{data} -m @{model} --eval --iterations 25 --quiet {more}")).ok();
@@ -402,7 +402,7 @@ fn photos_may_stay_on_disk() {
 
 #[test]
 fn a_training_begins_with_a_scene() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let still = "--strategy fixed --position_lr_init 1e-12 --position_lr_final 1e-12 --feature_lr 0 --opacity_lr 0 \
                  --scaling_lr 0 --rotation_lr 0 --iterations 1";
     // SH degree 1 is active from iteration 5 on, so that the scene has higher coefficients.
@@ -444,7 +444,7 @@ fn a_training_begins_with_a_scene() {
 /// A second training into the same folder is refused while the first runs, and removes none of its files.
 #[test]
 fn one_training_at_a_time_writes_into_a_folder() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let mut first = place.start("train -s @data -m @model --iterations 1000000");
     first.wait_for("100/1000000");
     // A temporary file, as the first training has it while it writes.
@@ -467,7 +467,7 @@ fn one_training_at_a_time_writes_into_a_folder() {
 /// A scheduler starts a job twice at once: one trains, and the others find it done.
 #[test]
 fn patient_trainings_of_a_new_folder_are_one() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let train = "train -s @data -m @blocks/one --wait --start-checkpoint auto --checkpoint-every 10 \
                  --iterations 25 --quiet";
     let start = |_| Running::start(place.command(train).stdout(Stdio::piped()).stderr(Stdio::piped()));
@@ -540,7 +540,7 @@ fn report_has_the_curves_of_all_iterations() {
 /// `render -s` draws the cameras of a data set as they are in training: with its folder of photos, where there is one.
 #[test]
 fn cameras_of_a_data_set_are_of_the_folder_that_was_trained_on() {
-    let place = Place::new();
+    let place = TestFolder::new();
     std::fs::create_dir(place.at("data/images_2")).expect("a folder");
     for index in 0..VIEWS {
         let half = view(index).scaled_to(view(index).width / 2, view(index).height / 2);

@@ -46,30 +46,30 @@ pub fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str
 /// value.
 pub fn assert_alike(context: &Context, a: &[f32], b: &[f32], (what, share): (&str, f32)) {
     let exact = context.description().kind == "CPU";
-    let bound = share * b.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
+    let bound = share * b.iter().fold(0.0_f32, |max, x| max.max(x.abs()));
     let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (!exact && (a - b).abs() <= bound);
     assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
-fn region_height(gpu: &Gpu, how: How) -> u32 {
-    (if how.low_regions { 4 } else { 8 }).max(gpu.subgroup() / 8)
+fn region_height(gpu: &Gpu, form: Form) -> u32 {
+    (if form.low_regions { 4 } else { 8 }).max(gpu.subgroup() / 8)
 }
 
 /// Invocations of a workgroup of one tile.
-fn workgroup(gpu: &Gpu, how: How) -> u32 {
-    gpu.subgroup() * 32 / region_height(gpu, how)
+fn workgroup(gpu: &Gpu, form: Form) -> u32 {
+    gpu.subgroup() * 32 / region_height(gpu, form)
 }
 
 /// Runs the passes of a kernel, with a workgroup too many. `$more` are fields of a pass's push constants that only
 /// this kernel has.
 macro_rules! run_passes {
     (
-        $gpu:expr, $lists:expr, $how:expr, $kernel:ident, $spec:expr, $bind:expr,
+        $gpu:expr, $lists:expr, $form:expr, $kernel:ident, $spec:expr, $bind:expr,
         |$pass:ident| { $($more:ident: $value:expr,)* }
     ) => {{
-        let (lists, max_entries) = ($lists, $how.entries_per_pass);
+        let (lists, max_entries) = ($lists, $form.entries_per_pass);
         let [tiles_per_row, rows] = lists.view.tiles();
-        let pushes = dispatches(lists, $how).map(|($pass, [first_instance, max_instances])| $kernel::Push {
+        let pushes = dispatches(lists, $form).map(|($pass, [first_instance, max_instances])| $kernel::Push {
             image_width: lists.view.size_px[0],
             image_height: lists.view.size_px[1],
             tiles_per_row,
@@ -89,10 +89,10 @@ macro_rules! run_passes {
     }};
 }
 
-/// Runs a blending kernel over lists, with at most `$how.entries_per_pass` entries of each tile per pass.
+/// Runs a blending kernel over lists, with at most `$form.entries_per_pass` entries of each tile per pass.
 macro_rules! blend_lists {
     (
-        $gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $how:expr, $limits:expr
+        $gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $form:expr, $limits:expr
         $(, $auxiliary:ident: $buffer:expr)*
     ) => {{
         let (gpu, lists) = ($gpu, $lists);
@@ -117,15 +117,15 @@ macro_rules! blend_lists {
             depth_limits: $limits.unwrap_or(&lists.tile_ranges),
             $($auxiliary: $buffer,)*
         };
-        run_passes!(gpu, lists, $how, $kernel, $spec, bind, |pass| {
-            last_pass: u32::from(pass + 1 == passes(lists, $how)),
+        run_passes!(gpu, lists, $form, $kernel, $spec, bind, |pass| {
+            last_pass: u32::from(pass + 1 == passes(lists, $form)),
         });
         blended
     }};
 }
 
 #[derive(Clone, Copy, Debug)]
-pub struct How {
+pub struct Form {
     pub inverse_depth: bool,
     /// DISTANCE_ORDER: lists need not be in the order of z.
     pub distance_order: bool,
@@ -158,7 +158,7 @@ pub fn has_strips(gpu: &Gpu) -> bool {
 }
 
 /// Inverse depth, one pass, incremental exponentials.
-pub const CHAINED: How = How {
+pub const CHAINED: Form = Form {
     inverse_depth: true,
     distance_order: false,
     incremental_exp: true,
@@ -171,13 +171,13 @@ pub const CHAINED: How = How {
     strips: false,
     sums: OtherSums::None,
 };
-pub const UNCHAINED: How = How { incremental_exp: false, ..CHAINED };
-pub const LOW: How = How { low_regions: true, ..UNCHAINED };
-pub const SHARED: How = How { shares: true, ..UNCHAINED };
-pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
+pub const UNCHAINED: Form = Form { incremental_exp: false, ..CHAINED };
+pub const LOW: Form = Form { low_regions: true, ..UNCHAINED };
+pub const SHARED: Form = Form { shares: true, ..UNCHAINED };
+pub const IN_STRIPS: Form = Form { strips: true, ..CHAINED };
 
 /// Forms to test: all on a device; on the slower interpreter only those that GPUs use.
-pub fn forms(gpu: &Gpu) -> Vec<How> {
+pub fn forms(gpu: &Gpu) -> Vec<Form> {
     let in_strips = if has_strips(gpu) { vec![IN_STRIPS] } else { Vec::new() };
     match gpu.is_interpreted() {
         true => vec![LOW, SHARED],
@@ -186,21 +186,21 @@ pub fn forms(gpu: &Gpu) -> Vec<How> {
 }
 
 /// Blends lists by `forward/blend` or `forward/blend_shared`.
-pub fn forward(gpu: &Gpu, lists: &Lists, how: How) -> Blended {
-    forward_limited(gpu, lists, how, false, None)
+pub fn forward(gpu: &Gpu, lists: &Lists, form: Form) -> Blended {
+    forward_limited(gpu, lists, form, false, None)
 }
 
 /// Same as [`forward`], but with depth limits (1/z per pixel), and with the sum of weights * z if asked for.
 pub fn forward_limited(
     gpu: &Gpu,
     lists: &Lists,
-    how: How,
+    form: Form,
     linear_depth: bool,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, distance_order, incremental_exp, parts, strips, .. } = how;
+    let Form { inverse_depth, distance_order, incremental_exp, parts, strips, .. } = form;
     let (subgroup_size, depth_limit, count_hits) = (gpu.subgroup(), limits.is_some(), false);
-    if let Some(workgroup_size) = how.by_workgroup {
+    if let Some(workgroup_size) = form.by_workgroup {
         let spec = blend_shared::Spec {
             last_entries: true,
             workgroup_size,
@@ -214,11 +214,11 @@ pub fn forward_limited(
             distance_order,
             lenses: false,
         };
-        return blend_lists!(gpu, lists, blend_shared, spec, how, limits);
+        return blend_lists!(gpu, lists, blend_shared, spec, form, limits);
     }
     let spec = blend::Spec {
         last_entries: true,
-        workgroup_size: workgroup(gpu, how) / parts,
+        workgroup_size: workgroup(gpu, form) / parts,
         subgroup_size,
         inverse_depth,
         depth_limit,
@@ -227,16 +227,16 @@ pub fn forward_limited(
         regions_per_subgroup: parts,
         count_hits,
         strips,
-        region_height: region_height(gpu, how),
-        broadcast: how.low_regions,
-        shared_splats: how.shares,
+        region_height: region_height(gpu, form),
+        broadcast: form.low_regions,
+        shared_splats: form.shares,
         distance_order,
         lenses: false,
     };
-    blend_lists!(gpu, lists, blend, spec, how, limits)
+    blend_lists!(gpu, lists, blend, spec, form, limits)
 }
 
-pub struct Beside {
+pub struct Auxiliary {
     pub blended: Blended,
     /// Value per pixel: 1 + place in the list, and the bits of the weight.
     pub picks: Buffer,
@@ -258,11 +258,11 @@ fn half_bits(x: f32) -> u16 {
 pub fn forward_auxiliary(
     gpu: &Gpu,
     lists: &Lists,
-    how: How,
+    form: Form,
     motions: &[[f32; 2]],
     Outputs { pick, motion, surface }: Outputs,
-) -> Beside {
-    let How { inverse_depth, incremental_exp, parts, .. } = how;
+) -> Auxiliary {
+    let Form { inverse_depth, incremental_exp, parts, .. } = form;
     let pixels = lists.view.pixels();
     let picks = gpu.untouched::<[u32; 2]>("picks", pixels);
     let motion_sums = gpu.untouched::<[f32; 2]>("motion_sums", pixels);
@@ -273,24 +273,24 @@ pub fn forward_auxiliary(
     let (motions, splat_surfaces) =
         (gpu.buffer("motions", motions), gpu.buffer("splat_surfaces", &splat_surfaces));
     let (subgroup_size, limits) = (gpu.subgroup(), None::<&Buffer>);
-    let blended = match how.by_workgroup {
+    let blended = match form.by_workgroup {
         None => {
             let spec = blend_auxiliary::Spec {
-                workgroup_size: workgroup(gpu, how) / parts,
+                workgroup_size: workgroup(gpu, form) / parts,
                 subgroup_size,
                 inverse_depth,
                 incremental_exp,
                 regions_per_subgroup: parts,
-                region_height: region_height(gpu, how),
-                broadcast: how.low_regions,
-                shared_splats: how.shares,
+                region_height: region_height(gpu, form),
+                broadcast: form.low_regions,
+                shared_splats: form.shares,
                 pick,
                 motion,
                 surface,
                 ..blend_auxiliary::Spec::default()
             };
             blend_lists!(
-                gpu, lists, blend_auxiliary, spec, how, limits,
+                gpu, lists, blend_auxiliary, spec, form, limits,
                 picks: &picks, motions: &motions, motion_sums: &motion_sums, splat_surfaces: &splat_surfaces,
                 surfaces: &surfaces
             )
@@ -307,22 +307,22 @@ pub fn forward_auxiliary(
                 ..blend_shared_auxiliary::Spec::default()
             };
             blend_lists!(
-                gpu, lists, blend_shared_auxiliary, spec, how, limits,
+                gpu, lists, blend_shared_auxiliary, spec, form, limits,
                 picks: &picks, motions: &motions, motion_sums: &motion_sums, splat_surfaces: &splat_surfaces,
                 surfaces: &surfaces
             )
         }
     };
-    Beside { blended, picks, motion_sums, surfaces }
+    Auxiliary { blended, picks, motion_sums, surfaces }
 }
 
 macro_rules! backward_of_lists {
     (
-        $kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr
+        $kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $form:expr, $workgroup_size:expr
         $(, $region_height:ident)?
     ) => {{
         let (gpu, lists, blended) = ($gpu, $lists, $blended);
-        let How { inverse_depth, incremental_exp, strips, sums, .. } = $how;
+        let Form { inverse_depth, incremental_exp, strips, sums, .. } = $form;
         let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
         let count_hits = false;
         let spec = $kernel::Spec {
@@ -335,7 +335,7 @@ macro_rules! backward_of_lists {
             absolute: sums == OtherSums::Absolute,
             weights: sums == OtherSums::Weights,
             lenses: false,
-            $($region_height: region_height(gpu, $how), broadcast: $how.low_regions,)?
+            $($region_height: region_height(gpu, $form), broadcast: $form.low_regions,)?
         };
         let (pixels, instances) = (lists.view.pixels(), lists.instances.len());
         let image_gradient = match $gradient {
@@ -368,7 +368,7 @@ macro_rules! backward_of_lists {
             instance_gradients_d: &instance_gradients_d,
             state: &lists.state,
         };
-        run_passes!(gpu, lists, $how, $kernel, spec, bind, |pass| {});
+        run_passes!(gpu, lists, $form, $kernel, spec, bind, |pass| {});
         let (a, b) = (
             gpu.read::<[f32; 4]>(&instance_gradients_a, instances),
             gpu.read::<[f32; 4]>(&instance_gradients_b, instances),
@@ -391,9 +391,10 @@ pub fn backward(
     lists: &Lists,
     blended: &Blended,
     gradient: Option<&[[f32; 4]]>,
-    how: How,
+    form: Form,
 ) -> SlotSums {
-    backward_of_lists!(blend_backward, gpu, lists, blended, gradient, how, workgroup(gpu, how), region_height)
+    let size = workgroup(gpu, form);
+    backward_of_lists!(blend_backward, gpu, lists, blended, gradient, form, size, region_height)
 }
 
 /// Same as [`backward`], but by `backward/blend_backward_subgroup_per_tile`.
@@ -402,22 +403,22 @@ pub fn backward_alone(
     lists: &Lists,
     blended: &Blended,
     gradient: Option<&[[f32; 4]]>,
-    how: How,
+    form: Form,
 ) -> SlotSums {
-    backward_of_lists!(blend_backward_subgroup_per_tile, gpu, lists, blended, gradient, how, gpu.subgroup())
+    backward_of_lists!(blend_backward_subgroup_per_tile, gpu, lists, blended, gradient, form, gpu.subgroup())
 }
 
 /// Number of strands that the rows of tiles are dealt to.
 const ROW_STRANDS: u32 = 4;
 
-fn passes(lists: &Lists, how: How) -> u32 {
+fn passes(lists: &Lists, form: Form) -> u32 {
     let longest = lists.lists.iter().map(Vec::len).max().unwrap_or(0) as u32;
-    how.passes.unwrap_or_else(|| longest.div_ceil(how.entries_per_pass).max(1))
+    form.passes.unwrap_or_else(|| longest.div_ceil(form.entries_per_pass).max(1))
 }
 
 /// Passes, each once for the tiles that begin in the first half of the instances and once for the others.
-fn dispatches(lists: &Lists, how: How) -> impl Iterator<Item = (u32, [u32; 2])> {
+fn dispatches(lists: &Lists, form: Form) -> impl Iterator<Item = (u32, [u32; 2])> {
     let half = lists.instances.len() as u32 / 2;
     let parts = [[0, half], [half, u32::MAX - half]];
-    (0..passes(lists, how)).flat_map(move |pass| parts.map(|part| (pass, part)))
+    (0..passes(lists, form)).flat_map(move |pass| parts.map(|part| (pass, part)))
 }

@@ -8,8 +8,8 @@ use std::process::{Command, Stdio};
 /// Runs trials of this test binary, also ignored ones, in a process of their own. Returns their output.
 ///
 /// # Panics
-/// When a trial fails, or fewer than `least` have run.
-pub fn run(trials: &[&str], least: usize, configure: impl FnOnce(&mut Command)) -> String {
+/// When a trial fails, or fewer than `min` have run.
+pub fn run(trials: &[&str], min: usize, configure: impl FnOnce(&mut Command)) -> String {
     let mut child = Command::new(std::env::current_exe().expect("the test binary"));
     child.args(trials).args(["--include-ignored", "--nocapture"]).stdin(Stdio::null());
     configure(&mut child);
@@ -19,6 +19,6 @@ pub fn run(trials: &[&str], least: usize, configure: impl FnOnce(&mut Command)) 
     // The test binary's own summary.
     let counts = text.split_once("test result: ok. ").and_then(|(_, counts)| counts.split_once(" passed"));
     let passed = counts.and_then(|(count, _)| count.parse::<usize>().ok());
-    assert!(passed.is_some_and(|passed| passed >= least), "{passed:?} trials ran, not {least}:\n{text}");
+    assert!(passed.is_some_and(|passed| passed >= min), "{passed:?} trials ran, not {min}:\n{text}");
     text
 }

@@ -127,7 +127,7 @@ pub fn elementwise(
 
 /// Compares element by element with a bound relative to the largest expected value.
 pub fn relative(what: &str, actual: &[f64], expected: &[f64], bound: f64) -> Result<(), String> {
-    let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    let largest = expected.iter().fold(0.0_f64, |max, x| max.max(x.abs()));
     elementwise(what, actual, expected, bound * largest, 0.0)
 }
 

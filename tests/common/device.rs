@@ -82,18 +82,18 @@ pub fn bounded(max_memory: Option<u64>) -> Bounded {
 }
 
 /// The smallest ring for transfers.
-const LEAST_RING_BYTES: u64 = 1 << 18;
+const MIN_RING_BYTES: u64 = 1 << 18;
 
 /// Bytes that the budget reserves for the staging ring of a discrete GPU. The ring may be unallocated.
 pub fn kept_for_transfers(context: &Context) -> u64 {
-    if context.transfers().reads_directly { 0 } else { LEAST_RING_BYTES }
+    if context.transfers().reads_directly { 0 } else { MIN_RING_BYTES }
 }
 
 /// Peak of bytes in use, with a discrete GPU's staging ring counted at its minimum: the number that plans predict.
 pub fn planned_peak(context: &Context) -> u64 {
     let arenas = context.memory();
     let ring = arenas.iter().find(|arena| arena.name == "staging").map_or(0, |arena| arena.peak_bytes);
-    context.memory_total().peak_bytes - ring.saturating_sub(LEAST_RING_BYTES)
+    context.memory_total().peak_bytes - ring.saturating_sub(MIN_RING_BYTES)
 }
 
 /// Fails unless the peak reached all of `bytes` and no more.

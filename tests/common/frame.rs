@@ -174,12 +174,12 @@ pub fn tile_bounds(splat: &Splat, view: &View) -> (u32, u32) {
         let exactly = touched(splat, view).len() as u32;
         return (exactly, exactly);
     }
-    let most = touched_at_most(splat, view).len() as u32;
+    let max = touched_at_most(splat, view).len() as u32;
     let [columns, rows] = view.tiles();
     let tiles = (0..rows).flat_map(|y| (0..columns).map(move |x| [x, y]));
     // Rounding decides about pixels at the threshold.
     let surely = Splat { opacity: splat.opacity * (1.0 - 1e-5), ..splat.clone() };
-    (tiles.filter(|tile| touches_by_pixels(&surely, *tile)).count() as u32, most)
+    (tiles.filter(|tile| touches_by_pixels(&surely, *tile)).count() as u32, max)
 }
 
 /// A splat enlarged by the projection's margins.

@@ -21,5 +21,5 @@ pub use super::scenes::*;
 pub use super::training::{EXTENT, Run, Succeeds, refusal, start, through_a_file, view_of, views};
 pub use super::{assert_says, new_paths};
 pub use crate::reference::types::{
-    CutOut, Drawn, Dropout, Extent, Gaussian, Gradient, Limits, Selection, Splat, SplatGradient, Tint, View,
+    CutOut, Dropout, Extent, Gaussian, Gradient, Limits, Selection, Splat, SplatGradient, Style, Tint, View,
 };

@@ -1,6 +1,6 @@
 //! Random scenes and numbers, identical in every run.
 
-use crate::reference::types::{Drawn, Extent, Gaussian, Gradient, View};
+use crate::reference::types::{Extent, Gaussian, Gradient, Style, View};
 
 /// SplitMix64.
 pub struct Random(u64);
@@ -60,18 +60,18 @@ pub fn small_view(size_px: [u32; 2]) -> View {
         filter_3d: 0.0,
         symmetric_limit: false,
         extent: Extent::Exact,
-        drawn: Drawn::AS_THEY_ARE,
+        drawn: Style::AS_THEY_ARE,
     }
 }
 
 /// Other shapes: smaller Gaussians; opaque ellipsoids without faint Gaussians; dots. Every number is exact in
 /// float32.
-pub fn drawn_shapes() -> [Drawn; 3] {
+pub fn drawn_shapes() -> [Style; 3] {
     let exp = |steepness: f32| f64::from(steepness.exp());
     [
-        Drawn { scale_modifier: 0.375, ..Drawn::AS_THEY_ARE },
-        Drawn { scale_modifier: 0.25, dilation_px2: 0.015_625, opacity: -exp(40.0), ..Drawn::AS_THEY_ARE },
-        Drawn { scale_modifier: 0.0, dilation_px2: 0.25, opacity: exp(3.75), ..Drawn::AS_THEY_ARE },
+        Style { scale_modifier: 0.375, ..Style::AS_THEY_ARE },
+        Style { scale_modifier: 0.25, dilation_px2: 0.015_625, opacity: -exp(40.0), ..Style::AS_THEY_ARE },
+        Style { scale_modifier: 0.0, dilation_px2: 0.25, opacity: exp(3.75), ..Style::AS_THEY_ARE },
     ]
 }
 

@@ -9,7 +9,7 @@ use glam::Vec3;
 use serde_json::Value;
 use std::path::Path;
 
-const LEAST_PSNR: f64 = 35.0;
+const MIN_PSNR: f64 = 35.0;
 
 pub const TRIALS: [(&str, super::Check); 1] =
     [("cesium_shows_our_tiles_ply", |modules, _| shows_the_tree(modules))];
@@ -38,7 +38,7 @@ fn shows_the_tree(modules: &Path) {
                 return Err(format!("{name}: {drawn:?} are drawn in place of {expected:?}"));
             }
             let theirs = Photo::read(&picture, [0.0; 3]).unwrap();
-            compare_at_least(LEAST_PSNR, &format!("cesium_{name}"), &ours, &theirs)
+            compare_at_least(MIN_PSNR, &format!("cesium_{name}"), &ours, &theirs)
         });
     }
 }

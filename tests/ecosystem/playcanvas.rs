@@ -12,7 +12,7 @@ use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::{Mat3, Quat, Vec3};
 use std::path::Path;
 
-const LEAST_PSNR: f64 = 30.0;
+const MIN_PSNR: f64 = 30.0;
 /// Number of frames to wait, a fifth of a second each.
 const STILL_FRAMES: u32 = 3;
 
@@ -26,7 +26,7 @@ pub fn shows_the_same(modules: &Path, format: Format) {
     let name = format!("playcanvas{}", format.extension());
     once_more_with_patience(STILL_FRAMES, |still_frames| {
         draw(modules, &path, &camera, &picture, (false, still_frames));
-        compare_at_least(LEAST_PSNR, &name, &ours, &Photo::read(&picture, [0.0; 3]).unwrap())
+        compare_at_least(MIN_PSNR, &name, &ours, &Photo::read(&picture, [0.0; 3]).unwrap())
     });
     let bright = ours.rgb.iter().filter(|&&v| v > 60).count();
     assert!(bright > ours.rgb.len() / 4, "an empty picture proves nothing");
@@ -44,7 +44,7 @@ pub fn shows_our_streamed_sog(modules: &Path) {
     once_more_with_patience(STILL_FRAMES, |still_frames| {
         draw(modules, &tree.join("lod-meta.json"), &camera, &picture, (false, still_frames));
         let theirs = Photo::read(&picture, [0.0; 3]).unwrap();
-        compare_at_least(LEAST_PSNR, "playcanvas_streamed_sog", &ours, &theirs)
+        compare_at_least(MIN_PSNR, "playcanvas_streamed_sog", &ours, &theirs)
     });
 }
 
@@ -98,8 +98,8 @@ fn compare_dilations(
     let unlike = compare("playcanvas_trained_own", ours, own);
     let theirs = compare("playcanvas_trained_half_pixels", in_half_pixels, own);
     let references = compare("playcanvas_trained_reference", ours, reference);
-    let least = LEAST_PSNR.max(unlike + 5.0);
-    if theirs >= least && references >= least {
+    let min_psnr = MIN_PSNR.max(unlike + 5.0);
+    if theirs >= min_psnr && references >= min_psnr {
         return Ok(());
     }
     Err(format!("{theirs:.2} dB, {references:.2} dB, and {unlike:.2} dB without either"))

@@ -29,7 +29,7 @@ fn each_tree(check: impl Fn(&Path, bool)) {
 pub fn tree_of_the_ball(folder: &Path, packed: bool) -> PathBuf {
     let (scene, tree) = (folder.join("scene.ply"), folder.join(if packed { "packed" } else { "plain" }));
     splats::write(&scene, &ball(), &WriteOptions::default()).unwrap();
-    let options = TileOptions { most: 1000, packed };
+    let options = TileOptions { max_gaussians: 1000, packed };
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.05);
     tiles::write(&scene, &tree, &options, &Default::default(), &mut measure, &Progress::NONE).unwrap();
     tree

@@ -339,14 +339,14 @@ fn reservations_that_make_no_sense_are_refused() {
         assert_eq!(error.to_string(), "slots: none are reserved that could grow: call Renderer::reserve");
         renderer.reserve(&good).expect("memory");
         // The error names the field that needs more than kernels can bind. The previous reservation stays.
-        let most = context.limits().max_storage_buffer_range;
-        let words = u32::try_from(most / 4 + 1).expect("a number of words");
+        let max = context.limits().max_storage_buffer_range;
+        let words = u32::try_from(max / 4 + 1).expect("a number of words");
         for (field, bad) in [
             ("width, height", Reservation { width: 65_535, height: 65_535, instances: 8, ..good }),
             ("gaussians", Reservation { gaussians: words, instances: 8, ..good }),
             ("instances", Reservation { instances: words, ..good }),
             ("scenes, views", Reservation { scenes: 65_536, views: 1024, shared_sort: true, ..good }),
-            ("staging_bytes", Reservation { staging_bytes: most + 1, ..good }),
+            ("staging_bytes", Reservation { staging_bytes: max + 1, ..good }),
         ] {
             for error in [
                 renderer.reserve(&bad).expect_err(field),

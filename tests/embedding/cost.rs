@@ -1,6 +1,6 @@
 //! Costs of frames for the host: heap allocations of `record`.
 
-use crate::auxiliary::flight::{Outputs, Wanted};
+use crate::auxiliary::flight::{OutputRequest, Outputs};
 use crate::auxiliary::truth::Screens;
 use crate::counting::allocations;
 use crate::cut_outs::HIDES;
@@ -26,7 +26,7 @@ pub fn record_allocations(host: &Host, together: bool) -> u64 {
     let wanted = Reservation { slots: 2, scenes: SCENES, ..Reservation::new(8 * SCENES, 1, 64, 48) };
     let mut renderer = reserved(&context, &wanted);
     let in_flight = [0; 2].map(|_| Commands::new(host));
-    let (view, mut most) = (camera(0.3, 64, 48), 0);
+    let (view, mut max_asked) = (camera(0.3, 64, 48), 0);
     for number in 0..7 {
         let (slot, frame) = (number % 2, &in_flight[number % 2]);
         let commands = frame.begun(&context);
@@ -34,10 +34,10 @@ pub fn record_allocations(host: &Host, together: bool) -> u64 {
         let (asked, done) = allocations(|| renderer.record(commands, slot as u32, &recorded));
         done.expect("a recording");
         frame.finish();
-        most = if number < 4 { 0 } else { most.max(asked) };
+        max_asked = if number < 4 { 0 } else { max_asked.max(asked) };
     }
     drop(renderer);
-    most
+    max_asked
 }
 
 fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
@@ -62,7 +62,8 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
         let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Kept }; 2];
         let bits = mask_of(&context, &[0x55; 8]);
         let selection = Some(Selection { mask: &bits, color: [1.0, 0.5, 0.0], share: 0.5 });
-        let (mut images, wanted) = (Outputs::new(host, &context, [96, 64], HIDES.0), Wanted::hidden(&view));
+        let (mut images, wanted) =
+            (Outputs::new(host, &context, [96, 64], HIDES.0), OutputRequest::hidden(&view));
         let screens = Screens::new(host, &context, [96, 64]);
         let in_flight = Commands::new(host);
         let updates = [Update { scene: &scenes[0], first: 0, gaussians: &gaussians }];

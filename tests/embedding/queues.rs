@@ -45,7 +45,7 @@ fn on_a_machine_with_two_queues(trial: &str) {
     });
 }
 
-struct Work<'a> {
+struct HostSubmission<'a> {
     host: &'a Host,
     queue: vk::Queue,
     pool: vk::CommandPool,
@@ -53,7 +53,7 @@ struct Work<'a> {
     done: vk::Semaphore,
 }
 
-impl<'a> Work<'a> {
+impl<'a> HostSubmission<'a> {
     fn begin(host: &'a Host, queue: vk::Queue, pool: vk::CommandPool) -> Self {
         let info = vk::CommandBufferAllocateInfo::default()
             .command_pool(pool)
@@ -77,7 +77,7 @@ impl<'a> Work<'a> {
     }
 
     /// Submits after some other work, and before any work that waits for this.
-    fn submit(&self, behind: Option<&Work<'_>>, signals: bool) {
+    fn submit(&self, behind: Option<&HostSubmission<'_>>, signals: bool) {
         let point = |semaphore: vk::Semaphore| {
             let all = vk::PipelineStageFlags2::ALL_COMMANDS;
             vk::SemaphoreSubmitInfo::default().semaphore(semaphore).stage_mask(all)
@@ -97,7 +97,7 @@ impl<'a> Work<'a> {
     }
 }
 
-impl Drop for Work<'_> {
+impl Drop for HostSubmission<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             return;
@@ -138,12 +138,12 @@ fn draw_in_turns(
         let keeps = from.layout != vk::ImageLayout::UNDEFINED;
         let whole = camera(0.3 * frame as f32, SIZE[0], SIZE[1]);
         let inset = camera(1.0, 16, 16);
-        let before = Work::begin(host, host.queue, host.pool);
+        let before = HostSubmission::begin(host, host.queue, host.pool);
         texture.clear(before.commands, last, [grey, grey, grey, 1.0]);
         if keeps {
             before.image_barrier(image.hand_over(from));
         }
-        let guests = Work::begin(host, of_guest.0, of_guest.1);
+        let guests = HostSubmission::begin(host, of_guest.0, of_guest.1);
         let target = |offset| Target::Image {
             to: HostImage { image, from, offset },
             behind: if keeps { Background::Image } else { Background::Color([grey; 3]) },
@@ -159,7 +159,7 @@ fn draw_in_turns(
         renderer.record_views(commands, 0, &views, &mut releases).expect("a recording");
         let release = releases[1].color.expect("a target");
         assert_eq!((releases[0].color, release.layout), (Some(release), image.layout()));
-        let behind = Work::begin(host, host.queue, host.pool);
+        let behind = HostSubmission::begin(host, host.queue, host.pool);
         behind.image_barrier(image.take_back());
         texture.record_read(host, behind.commands, used(release), &staging);
         last = READ;
@@ -207,7 +207,7 @@ fn assert_one_owner(
         },
         ..frame_of(&placed, &eye)
     });
-    let work = Work::begin(host, of_guest.0, of_guest.1);
+    let work = HostSubmission::begin(host, of_guest.0, of_guest.1);
     // SAFETY: it is being recorded, and thrown away.
     let commands = unsafe { context.adopt_commands(work.commands) }.expect("a command buffer");
     let refused = renderer.record_views(commands, 0, &views, &mut [Release::default(); 2]);

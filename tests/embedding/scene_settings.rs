@@ -30,8 +30,8 @@ impl<'a> Stage<'a> {
         let upload = |part: &&Gaussians| uploaded(context, part);
         let mut renderer = Renderer::new(context).expect("kernels");
         let gaussians: usize = parts.iter().map(|part| part.len()).sum();
-        let least = Reservation::new(gaussians as u32, 1, SIZE[0], SIZE[1]);
-        renderer.reserve(&wanted(Reservation { scenes: parts.len() as u32, ..least })).expect("memory");
+        let reservation = Reservation::new(gaussians as u32, 1, SIZE[0], SIZE[1]);
+        renderer.reserve(&wanted(Reservation { scenes: parts.len() as u32, ..reservation })).expect("memory");
         let frame = RenderSettings::default();
         let scenes = parts.iter().map(upload).collect();
         Self { host, renderer, scenes, camera: camera(0.7, SIZE[0], SIZE[1]), frame, poses: Vec::new() }
@@ -84,8 +84,8 @@ fn scenes_that_are_not_drawn_leave_no_trace() {
     with_host(&options(), |host| {
         let parts = [cloud(300, 1), cloud(5000, 2), cloud(257, 3)];
         // The second scene alone would not fit.
-        let least = |wanted| Reservation { gaussians: 600, ..wanted };
-        let mut stage = Stage::new(host, &[&parts[0], &parts[1], &parts[2]], &least);
+        let reservation = |wanted| Reservation { gaussians: 600, ..wanted };
+        let mut stage = Stage::new(host, &[&parts[0], &parts[1], &parts[2]], &reservation);
         for hidden in [HIDDEN, FADED] {
             stage.assert_drawn(&[USUAL, hidden, USUAL], &appended(&parts[0], &parts[2]));
             let report = report_of(&mut stage.renderer, 0);
@@ -134,8 +134,8 @@ fn a_tint_and_an_opacity_are_factors() {
         let whole = owned(&both, &stage.camera, &stage.frame);
         assert_same(&stage.pixels(&[USUAL, USUAL]), &whole);
         // The kernels of a tint, with a tint of almost 1.
-        let least = SceneSettings { tint: [1.0, 1.0, 1.0f32.next_down()], ..USUAL };
-        assert_nearly_equal(&stage.pixels(&[least, USUAL]), &whole);
+        let nearly_usual = SceneSettings { tint: [1.0, 1.0, 1.0f32.next_down()], ..USUAL };
+        assert_nearly_equal(&stage.pixels(&[nearly_usual, USUAL]), &whole);
         let (tint, opacity) = ([0.5, 1.75, 0.0], 0.375);
         let mut edited = tinted.clone();
         let c0 = 0.282_094_79;

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::mpsc;
 
 /// Gaussians of a tile.
-const MOST: usize = 20;
+const MAX_GAUSSIANS: usize = 20;
 /// Budget of the picture, in Gaussians.
 const BUDGET: usize = 200;
 /// Number of scenes on the device: those of a picture, and those that replace them.
@@ -19,7 +19,7 @@ const SIZE: [u32; 2] = [110, 70];
 fn written(folder: &std::path::Path) -> Tree {
     let (scene, tree) = (folder.join("scene.ply"), folder.join("tiles"));
     splats::write(&scene, &cloud(700, 4), &WriteOptions::default()).expect("a scene");
-    let options = TileOptions { most: MOST, packed: false };
+    let options = TileOptions { max_gaussians: MAX_GAUSSIANS, packed: false };
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
     tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
         .expect("tiles");
@@ -58,15 +58,15 @@ fn tiles_stream_into_recorded_frames() {
         });
         with_guest(|host, context| {
             let mut renderer = Renderer::new(&context).expect("kernels");
-            let staging_bytes = Reservation::update_bytes(MOST as u32, 1);
-            let wanted = Reservation::new((ROOM * MOST) as u32, 1, SIZE[0], SIZE[1]);
+            let staging_bytes = Reservation::update_bytes(MAX_GAUSSIANS as u32, 1);
+            let wanted = Reservation::new((ROOM * MAX_GAUSSIANS) as u32, 1, SIZE[0], SIZE[1]);
             let (slots, scenes) = (SLOTS as u32, ROOM as u32);
             renderer.reserve(&Reservation { slots, scenes, staging_bytes, ..wanted }).expect("memory");
             let pixels = (SIZE[0] * SIZE[1]) as usize;
             let commands = [0; SLOTS].map(|_| Commands::new(host));
             let pictures = [0; SLOTS].map(|_| Staging::new(host, 16 * pixels as u64));
             let mut flying: [Option<Flying>; SLOTS] = [const { None }; SLOTS];
-            let empty = || DeviceScene::empty(&context, MOST as u32, 1).expect("a scene");
+            let empty = || DeviceScene::empty(&context, MAX_GAUSSIANS as u32, 1).expect("a scene");
             let mut free: Vec<DeviceScene> = (0..ROOM).map(|_| empty()).collect();
             // Removed scenes, with their tiles and the frame from which on no frame in flight reads them.
             let mut leaving: VecDeque<(usize, DeviceScene, usize)> = VecDeque::new();

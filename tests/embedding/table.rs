@@ -3,7 +3,7 @@
 //! Each function of the guest's table is passed through, counted or absent. The first kind is `vkCmd*`, and four
 //! others that only touch the guest's own descriptors and events. A call of an absent function panics.
 
-use crate::auxiliary::flight::{Outputs, Wanted};
+use crate::auxiliary::flight::{OutputRequest, Outputs};
 use crate::cut_outs::HIDES;
 use crate::stage::*;
 use ashsplat::ash::vk::Handle;
@@ -118,7 +118,8 @@ fn record_and_count(host_options: &HostOptions) {
             ..Reservation::new(600, 1, 96, 64)
         };
         renderer.reserve(&reservation).expect("memory");
-        let (mut images, wanted) = (Outputs::new(host, &context, [96, 64], HIDES.0), Wanted::hidden(&camera));
+        let (mut images, wanted) =
+            (Outputs::new(host, &context, [96, 64], HIDES.0), OutputRequest::hidden(&camera));
         let placed = [Placed::from(&scene)];
         let updates = [Update { scene: &scene, first: 0, gaussians: &gaussians }];
         assert!(take_calls().iter().any(|(name, _)| *name == "vkAllocateMemory"), "the table counts");

@@ -1,7 +1,7 @@
 //! Training steps in a host's command buffer.
 
 use crate::stage::*;
-use ashsplat::frame::LEAST_VISIBLE;
+use ashsplat::frame::MIN_VISIBLE;
 use ashsplat::scene::Bounds;
 use ashsplat::train::{
     MomentsType, OptimizerType, Preset, SceneBlock, SplitType, StepOutcome, StepReservation, StrategyType,
@@ -412,7 +412,7 @@ fn photographs_in_a_file_are_refused() {
 fn steps_that_see_more_than_estimated_are_repeated() {
     with_guest(|host, context| {
         let trainer = || {
-            let start = cloud(3 * LEAST_VISIBLE as usize, 5);
+            let start = cloud(3 * MIN_VISIBLE as usize, 5);
             Trainer::new(&context, views(), &start, 4.0, settings()).expect("a trainer")
         };
         let (mut recorded, mut expected) = (trainer(), trainer());
@@ -424,7 +424,7 @@ fn steps_that_see_more_than_estimated_are_repeated() {
             panic!("{outcome:?}");
         };
         assert_eq!(iteration, 1);
-        assert!(visible_needed > visible_capacity && visible_capacity >= LEAST_VISIBLE);
+        assert!(visible_needed > visible_capacity && visible_capacity >= MIN_VISIBLE);
         while recorded.iteration() < 3 {
             if recorded.maintenance_is_due().expect("an answer") {
                 assert!(recorded.maintain().expect("room").grown);
@@ -436,7 +436,7 @@ fn steps_that_see_more_than_estimated_are_repeated() {
         assert!(recorded.gaussians().expect("Gaussians") == expected.gaussians().expect("Gaussians"));
         // With enough capacity from the start, no step is repeated.
         let mut roomy = trainer();
-        let all = StepReservation { slots: 1, instances: 1 << 18, visible: 3 * LEAST_VISIBLE };
+        let all = StepReservation { slots: 1, instances: 1 << 18, visible: 3 * MIN_VISIBLE };
         roomy.reserve_steps(&all).expect("memory");
         for _ in 0..3 {
             execute(&mut roomy, &context, &frame);

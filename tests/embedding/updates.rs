@@ -68,7 +68,7 @@ fn nearest_halves(gaussians: &Gaussians) -> Vec<[f32; 3]> {
 fn nearest_bytes(gaussians: &Gaussians) -> Vec<[f32; 3]> {
     let own = (gaussians.sh_degree as usize + 1).pow(2);
     let rounded = |own: &[[f32; 3]]| {
-        let step = own[1..].as_flattened().iter().fold(0f32, |most, value| most.max(value.abs())) / 127.0;
+        let step = own[1..].as_flattened().iter().fold(0f32, |max, value| max.max(value.abs())) / 127.0;
         let higher = own[1..].iter().map(|c| c.map(|value| (value / step).round() * step));
         std::iter::once(own[0]).chain(higher).collect::<Vec<_>>()
     };
@@ -169,8 +169,8 @@ fn stored_scenes_are_drawn_as_their_rounded_values() {
                 .zip(floats.color.as_flattened())
                 .map(|(a, b)| f64::from(a - b).powi(2));
             let mean = squares.sum::<f64>() / (4 * 60 * 40) as f64;
-            let most = if stored == ShStorage::Half { 1e-7 } else { 1e-5 };
-            assert!(mean < most, "{stored:?}, degree {sh_degree}: {mean:e}");
+            let max = if stored == ShStorage::Half { 1e-7 } else { 1e-5 };
+            assert!(mean < max, "{stored:?}, degree {sh_degree}: {mean:e}");
         }
     });
 }

@@ -62,11 +62,11 @@ fn layers_have_the_bits_of_frames_alone() {
                 assert!(colors == frame.color, "shared: {shared_sort}, {width} x {height}");
             }
             let report = report_of(&mut renderer, 0);
-            let most = |of: fn(&ashsplat::FrameStats) -> u32| expected.iter().map(|f| of(&f.stats)).max();
+            let max = |of: fn(&ashsplat::FrameStats) -> u32| expected.iter().map(|f| of(&f.stats)).max();
             assert_eq!(report.sorts, sorts);
-            assert_eq!(Some(report.instances_needed), most(|stats| stats.instances));
-            assert_eq!(Some(report.longest_tile), most(|stats| stats.longest_tile));
-            let visible = most(|stats| stats.visible).unwrap_or(0);
+            assert_eq!(Some(report.instances_needed), max(|stats| stats.instances));
+            assert_eq!(Some(report.longest_tile), max(|stats| stats.longest_tile));
+            let visible = max(|stats| stats.visible).unwrap_or(0);
             // A shared sort counts Gaussians that any eye sees. Without it, the largest count of an eye is reported.
             assert!(if shared_sort { report.visible >= visible } else { report.visible == visible });
         }

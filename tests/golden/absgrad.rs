@@ -50,12 +50,12 @@ fn judge(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64
 }
 
 fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]) -> Outcome {
-    let most = npz.scalar("percent_dense") * npz.scalar("extent");
+    let max = npz.scalar("percent_dense") * npz.scalar("extent");
     let decide = |sum: &[f64], threshold: &str, large: bool| -> Vec<f64> {
         let of = |(i, g): (usize, &Gaussian)| {
             let grows = views[i] > 0.0 && sum[i] / views[i] >= npz.scalar(threshold);
-            let scale = g.log_scale.iter().fold(0.0, |most: f64, s| most.max(s.exp()));
-            f64::from(u8::from(grows && (scale > most) == large))
+            let scale = g.log_scale.iter().fold(0.0, |max: f64, s| max.max(s.exp()));
+            f64::from(u8::from(grows && (scale > max) == large))
         };
         set.iter().enumerate().map(of).collect()
     };

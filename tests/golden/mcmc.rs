@@ -170,7 +170,7 @@ fn noise_set(npz: &Npz) -> (Vec<Gaussian>, Vec<[f64; 3]>, f64) {
 
 fn compare_noise(npz: &Npz, deltas: &[[f64; 3]]) -> Outcome {
     for (i, (actual, expected)) in deltas.iter().zip(npz.rows::<3>("delta")).enumerate() {
-        let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let largest = expected.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
         // If the gate is closed to 24 digits, its rounding is larger than the noise.
         elementwise(&format!("noise of {i}"), actual, &expected, 1e-5 * largest + 1e-12, 0.0)?;
     }

@@ -2,7 +2,7 @@
 
 use crate::golden::npz::{Npz, rows};
 use crate::reference::blend_backward::PixelGradient;
-use crate::reference::types::{Drawn, Extent, Gaussian, View};
+use crate::reference::types::{Extent, Gaussian, Style, View};
 use std::path::Path;
 
 /// The extents with the prefix of their fields.
@@ -116,8 +116,8 @@ fn view_of(npz: &Npz, index: usize) -> View {
         symmetric_limit: flag("lim_sym"),
         extent: Extent::Reference,
         drawn: match npz.has("kernel") {
-            true => Drawn { dilation_px2: npz.scalar("kernel"), ..Drawn::AS_THEY_ARE },
-            false => Drawn::AS_THEY_ARE,
+            true => Style { dilation_px2: npz.scalar("kernel"), ..Style::AS_THEY_ARE },
+            false => Style::AS_THEY_ARE,
         },
     }
 }

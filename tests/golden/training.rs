@@ -65,7 +65,7 @@ impl RegularizerSet {
     fn check_gradients(&self, npz: &Npz, actual: &[Gaussian], relative: f64) -> Outcome {
         let logits: Vec<f64> = actual.iter().map(|g| g.opacity_logit).collect();
         let scales: Vec<f64> = actual.iter().flat_map(|g| g.log_scale).collect();
-        let absolute = |values: &[f64]| relative * values.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let absolute = |values: &[f64]| relative * values.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
         let (d_logits, d_scales) = (npz.values("reg_d_opacity_logits"), npz.values("reg_d_log_scales"));
         elementwise("d opacity logit", &logits, d_logits, absolute(d_logits), relative)?;
         elementwise("d log-scale", &scales, d_scales, absolute(d_scales), relative)?;

@@ -36,18 +36,18 @@ proptest! {
     ) {
         let points: Vec<[f32; 3]> = grid.iter().map(|p| p.map(|v| v as f32 * scale)).collect();
         let together = points.iter().map(|p| points.iter().filter(|q| *q == p).count()).max().unwrap();
-        let most = together + spare;
-        let cells = Cells::divide(&points, most).unwrap();
+        let max_gaussians = together + spare;
+        let cells = Cells::divide(&points, max_gaussians).unwrap();
         let mut counts = vec![0; cells.bounds().len()];
         points.iter().for_each(|&p| counts[cells.at(Vec3::from_array(p)).unwrap()] += 1);
-        prop_assert!(counts.iter().all(|&count| (1..=most).contains(&count)), "{counts:?} of {most}");
+        prop_assert!(counts.iter().all(|&count| (1..=max_gaussians).contains(&count)), "{counts:?} of {max_gaussians}");
         let own = points.iter().chain(&others).map(|&p| Vec3::from_array(p));
         for place in own.chain(around_borders(&cells)) {
             prop_assert_eq!(holders(&cells, place), [cells.at(place).unwrap()], "{}", place);
         }
         // The order of the points does not matter, and the boxes determine the cells.
         let reversed: Vec<[f32; 3]> = points.iter().rev().copied().collect();
-        prop_assert_eq!(&Cells::divide(&reversed, most).unwrap(), &cells);
+        prop_assert_eq!(&Cells::divide(&reversed, max_gaussians).unwrap(), &cells);
         let again = Cells::of(cells.bounds()).unwrap();
         for place in around_borders(&cells) {
             prop_assert_eq!(again.at(place), cells.at(place));

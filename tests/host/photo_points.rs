@@ -65,8 +65,8 @@ fn photo_points_lie_on_the_wall_and_have_its_colours() {
     let mut off: Vec<f32> = points.positions.iter().map(|&p| off_the_wall(p.into())).collect();
     off.sort_unstable_by(f32::total_cmp);
     // The candidate depths are 0.16 apart here.
-    let (half, most) = (off[off.len() / 2], off[off.len() * 95 / 100]);
-    assert!(half < 0.05 && most < 0.12, "half of them {half}, 95 % {most} off the wall");
+    let (median, percentile_95) = (off[off.len() / 2], off[off.len() * 95 / 100]);
+    assert!(median < 0.05 && percentile_95 < 0.12, "median {median}, 95 % {percentile_95} off the wall");
     let difference = |(p, color): (&[f32; 3], &[u8; 3])| {
         let wall = paint(p[0], p[1]);
         (0..3).map(|c| f64::from(wall[c].abs_diff(color[c]))).sum::<f64>() / 3.0

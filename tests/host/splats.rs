@@ -227,8 +227,8 @@ fn merged_cells_are_the_scene() {
         assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
     // Many cells need no more memory than one.
-    let [few, many] = [10_000, 130].map(|most| {
-        let cells = Cells::divide(&original.means, most).unwrap();
+    let [few, many] = [10_000, 130].map(|max_gaussians| {
+        let cells = Cells::divide(&original.means, max_gaussians).unwrap();
         let parts: Vec<Input<'_>> = cells.bounds().iter().map(part).collect();
         let work = || drop(merge(&parts, &folder.join("memory.ply"), &KEEP).unwrap());
         (parts.len(), allocation_counter::measure(work).bytes_max)
@@ -840,8 +840,8 @@ fn scenes_far_from_the_origin_keep_their_positions_in_every_format() {
         for name in [&there, "back.ply"] {
             let far = positions(&folder.read(name), UTM);
             let off = far.iter().zip(&expected).map(|(a, b)| (a.x - b.x).abs()).fold(0.0, f64::max);
-            let most = f64::from(tolerance(format).mean.max(1e-5));
-            assert!(far.len() == 300 && off <= most, "{there}, {name}: {off}");
+            let bound = f64::from(tolerance(format).mean.max(1e-5));
+            assert!(far.len() == 300 && off <= bound, "{there}, {name}: {off}");
         }
         // If other programs would place it elsewhere, a warning says so.
         match format {
@@ -901,7 +901,7 @@ fn scenes_are_written_in_source_units_and_drawn_in_their_frame() {
         let name = named("scene", format);
         folder.write_with(&name, &gaussians, &WriteOptions { frame, ..Default::default() });
         let read = folder.read(&name);
-        let largest = read.gaussians.means.as_flattened().iter().fold(0.0, |most: f32, v| most.max(v.abs()));
+        let largest = read.gaussians.means.as_flattened().iter().fold(0.0, |max: f32, v| max.max(v.abs()));
         assert!(largest <= 0.1, "{format}: {largest}");
         assert_eq!(read.header.unit, (format == Format::Ply).then_some(0.01));
         let drawn = read.in_world_frame();
@@ -935,7 +935,7 @@ fn a_folder_of_sog_is_read_and_version_1_by_its_ranges() {
     }
     folder.put("sog/meta.json", meta.to_string());
     let second = folder.read("sog").gaussians;
-    let ends = |least: f32, most: f32| (json!([0.0, 0.0, 0.0, least]), json!([2.55, 2.55, 2.55, most]));
+    let ends = |min: f32, max: f32| (json!([0.0, 0.0, 0.0, min]), json!([2.55, 2.55, 2.55, max]));
     let mut first = json!({"means": meta["means"], "quats": meta["quats"]});
     first["means"]["shape"] = json!([900, 3]);
     for name in ["scales", "sh0"] {

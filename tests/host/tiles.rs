@@ -16,16 +16,16 @@ use std::path::{Path, PathBuf};
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 
 /// A scene's file, and a folder for its tiles.
-struct Place {
+struct TestFolder {
     own: Folder,
     scene: Gaussians,
 }
 
-impl Place {
-    fn new(scene: Gaussians) -> Place {
+impl TestFolder {
+    fn new(scene: Gaussians) -> TestFolder {
         let own = Folder::new();
         splats::write(own.join("scene.ply"), &scene, &WriteOptions::default()).unwrap();
-        Place { own, scene }
+        TestFolder { own, scene }
     }
 
     fn folder(&self, name: &str) -> PathBuf {
@@ -33,19 +33,19 @@ impl Place {
     }
 
     /// Each merge has an error of 2 units and is recorded in `told`.
-    fn tiled(&self, name: &str, most: usize, told: &mut Vec<(usize, usize)>) -> Result<Tiling> {
+    fn tiled(&self, name: &str, max_gaussians: usize, told: &mut Vec<(usize, usize)>) -> Result<Tiling> {
         let mut measure = |finer: &Gaussians, merged: &Gaussians| {
             told.push((finer.len(), merged.len()));
             Ok(2.0)
         };
-        let (input, options) = (self.folder("scene.ply"), TileOptions { most, packed: false });
+        let (input, options) = (self.folder("scene.ply"), TileOptions { max_gaussians, packed: false });
         tiles::write(&input, &self.folder(name), &options, &KEEP, &mut measure, &Progress::default())
     }
 }
 
-fn tree(scene: Gaussians, most: usize) -> (Place, Tree) {
-    let place = Place::new(scene);
-    place.tiled("tiles", most, &mut Vec::new()).unwrap();
+fn tree(scene: Gaussians, max_gaussians: usize) -> (TestFolder, Tree) {
+    let place = TestFolder::new(scene);
+    place.tiled("tiles", max_gaussians, &mut Vec::new()).unwrap();
     let tree = Tree::open(place.folder("tiles")).unwrap();
     (place, tree)
 }
@@ -70,9 +70,9 @@ fn children(tile: &Value) -> &[Value] {
     tile["children"].as_array().map_or(&[], Vec::as_slice)
 }
 
-fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians>) -> usize {
+fn leaves_of(tile: &Value, folder: &Path, max_gaussians: usize, found: &mut Vec<Gaussians>) -> usize {
     let own = splats::read(folder.join(tile["content"]["uri"].as_str().unwrap()), &KEEP).unwrap().gaussians;
-    assert!((1..=most).contains(&own.len()), "{} of {most}", own.len());
+    assert!((1..=max_gaussians).contains(&own.len()), "{} of {max_gaussians}", own.len());
     assert_eq!(tile["extras"]["gaussians"].as_u64(), Some(own.len() as u64));
     assert_eq!(tile["refine"], "REPLACE");
     let [min, max] = corners(tile);
@@ -105,7 +105,7 @@ fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians
         found.push(own);
         return 1;
     }
-    1 + children(tile).iter().map(|child| leaves_of(child, folder, most, found)).sum::<usize>()
+    1 + children(tile).iter().map(|child| leaves_of(child, folder, max_gaussians, found)).sum::<usize>()
 }
 
 /// The values of Gaussians that glTF keeps to the bit.
@@ -122,7 +122,7 @@ fn rows<'a>(scenes: impl IntoIterator<Item = &'a Gaussians>) -> Vec<Vec<u32>> {
 
 #[test]
 fn the_finest_tiles_hold_each_gaussian_once() {
-    let place = Place::new(scene(3000, 2));
+    let place = TestFolder::new(scene(3000, 2));
     let mut told = Vec::new();
     let done = place.tiled("tiles", 100, &mut told).unwrap();
     let (folder, mut found) = (place.folder("tiles"), Vec::new());
@@ -147,7 +147,7 @@ fn the_finest_tiles_hold_each_gaussian_once() {
 
 #[test]
 fn the_same_scene_gives_the_same_bytes() {
-    let place = Place::new(scene(900, 1));
+    let place = TestFolder::new(scene(900, 1));
     fs::create_dir(place.folder("b")).unwrap();
     for name in ["a", "b"] {
         place.tiled(name, 64, &mut Vec::new()).unwrap();
@@ -164,7 +164,7 @@ fn the_same_scene_gives_the_same_bytes() {
 
 #[test]
 fn a_scene_that_fits_is_one_tile() {
-    let place = Place::new(scene(50, 0));
+    let place = TestFolder::new(scene(50, 0));
     let done = place.tiled("tiles", 50, &mut Vec::new()).unwrap();
     assert_eq!((done.tiles, done.leaves, done.levels, done.written), (1, 1, 1, 50));
     let root = &tileset(&place.folder("tiles"))["root"];
@@ -173,14 +173,14 @@ fn a_scene_that_fits_is_one_tile() {
 
 #[test]
 fn tiles_that_fail_leave_nothing() {
-    let place = Place::new(scene(900, 0));
+    let place = TestFolder::new(scene(900, 0));
     let (input, folder) = (place.folder("scene.ply"), place.folder("tiles"));
     let calls = Cell::new(0);
     let mut fails_late = |_: &Gaussians, _: &Gaussians| {
         calls.set(calls.get() + 1);
         if calls.get() < 3 { Ok(1.0) } else { Err(Error::argument("picture", "is lost")) }
     };
-    let options = TileOptions { most: 64, packed: false };
+    let options = TileOptions { max_gaussians: 64, packed: false };
     let failed =
         tiles::write(&input, &folder, &options, &KEEP, &mut fails_late, &Progress::default()).unwrap_err();
     assert_says(failed.to_string(), &["is lost"]);
@@ -199,7 +199,7 @@ fn tiles_that_fail_leave_nothing() {
     let mut far = scene(70, 0);
     far.means[3] = [1e15, 0.0, 0.0];
     splats::write(&input, &far, &WriteOptions::default()).unwrap();
-    let packed = TileOptions { most: 64, packed: true };
+    let packed = TileOptions { max_gaussians: 64, packed: true };
     let refused = tiles::write(&input, &folder, &packed, &KEEP, &mut measure, &Progress::NONE);
     assert_says(refusal(&input, refused), &["too far out for SPZ"]);
     // Coarse, with a warning.
@@ -323,7 +323,7 @@ fn a_cut_is_finer_where_it_is_nearer_and_leaves_out_what_is_not_seen() {
 
 #[test]
 fn trees_of_others_are_refused() {
-    let place = Place::new(scene(200, 0));
+    let place = TestFolder::new(scene(200, 0));
     place.tiled("tiles", 50, &mut Vec::new()).unwrap();
     let (folder, good) = (place.folder("tiles"), tileset(&place.folder("tiles")));
     let refused = |change: &dyn Fn(&mut Value), word: &str| {
@@ -358,7 +358,7 @@ fn trees_of_others_are_refused() {
 fn enormous_gaussians_have_finite_boxes() {
     let mut large = scene(90, 0);
     large.log_scales.fill([87.0; 3]);
-    let place = Place::new(large);
+    let place = TestFolder::new(large);
     place.tiled("tiles", 40, &mut Vec::new()).unwrap();
     let text = fs::read_to_string(place.folder("tiles").join(TILESET_FILE)).unwrap();
     assert!(!text.contains("null"), "{text}");
@@ -413,7 +413,7 @@ fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
 
 #[test]
 fn trees_of_distant_scenes_have_an_origin() {
-    let place = Place::new(scene(900, 0));
+    let place = TestFolder::new(scene(900, 0));
     let utm = DVec3::new(500_000.0, 4_600_000.0, 100.0);
     let frame = WorldFrame { origin: utm, unit: 1.0 };
     let near = place.tiled("near", 200, &mut Vec::new()).unwrap();
@@ -432,7 +432,7 @@ fn trees_of_distant_scenes_have_an_origin() {
     // A tiny scene is drawn in its own unit.
     let mut tiny = place.scene.clone();
     tiny.transform(&Similarity { scale: 1e-3, ..Default::default() });
-    let place = Place::new(tiny);
+    let place = TestFolder::new(tiny);
     place.tiled("tiny", 200, &mut Vec::new()).unwrap();
     let tree = Tree::open(place.folder("tiny")).unwrap().in_world_frame();
     assert!(tree.frame().unit <= 0.01, "{:?}", tree.frame());

@@ -164,9 +164,8 @@ fn poses_come_from_matrices_that_scale_uniformly() {
         assert_says(&error, &["a scale of"]);
     }
     // The scale's square and its inverse must be normal numbers.
-    for (least, beyond) in [(2f32.powi(-63), f32::next_down as fn(f32) -> f32), (2f32.powi(63), f32::next_up)]
-    {
+    for (min, beyond) in [(2f32.powi(-63), f32::next_down as fn(f32) -> f32), (2f32.powi(63), f32::next_up)] {
         let is_possible = |scale: f32| Pose { scale, ..Pose::IDENTITY }.check().is_ok();
-        assert!(is_possible(least) && !is_possible(beyond(least)));
+        assert!(is_possible(min) && !is_possible(beyond(min)));
     }
 }

@@ -52,11 +52,11 @@ pub(crate) struct Builder<'m> {
     pub(crate) constants: Vec<u32>,
     constant_slots: HashMap<u32, Slot>,
     temporary: u32,
-    pub(crate) most_temporary: u32,
+    pub(crate) max_temporary: u32,
     first_constant: Slot,
     pub(crate) first_kept: Slot,
     kept: Slot,
-    pub(crate) most_kept: Slot,
+    pub(crate) max_kept: Slot,
     pub(crate) inputs: Vec<(u32, Slot)>,
     pub(crate) initials: Vec<(Slot, u32)>,
     pub(crate) memories: Vec<Memory>,
@@ -78,11 +78,11 @@ impl<'m> Builder<'m> {
             constants: Vec::new(),
             constant_slots: HashMap::new(),
             temporary: 0,
-            most_temporary: 0,
+            max_temporary: 0,
             first_constant: temporary,
             first_kept: temporary + constants,
             kept: temporary + constants,
-            most_kept: temporary + constants,
+            max_kept: temporary + constants,
             inputs: Vec::new(),
             initials: Vec::new(),
             memories: Vec::new(),
@@ -145,14 +145,14 @@ impl<'m> Builder<'m> {
     pub(crate) fn temporary(&mut self, words: u32) -> Slot {
         let slot = self.temporary;
         self.temporary += words;
-        self.most_temporary = self.most_temporary.max(self.temporary);
+        self.max_temporary = self.max_temporary.max(self.temporary);
         slot
     }
 
     fn keep(&mut self, words: u32) -> Slot {
         let slot = self.kept;
         self.kept += words;
-        self.most_kept = self.most_kept.max(self.kept);
+        self.max_kept = self.max_kept.max(self.kept);
         slot
     }
 

@@ -168,11 +168,11 @@ impl Program {
         }
         // A first build counts the slots.
         let counted = Builder::new(&module, (1 << 20, 1 << 20)).build().map_err(in_kernel)?;
-        let mut built = Builder::new(&module, (counted.most_temporary, counted.constants.len() as u32))
+        let mut built = Builder::new(&module, (counted.max_temporary, counted.constants.len() as u32))
             .build()
             .map_err(in_kernel)?;
         let blocks = built.number_blocks();
-        let first_constant = built.most_temporary;
+        let first_constant = built.max_temporary;
         let constants = (first_constant..).zip(built.constants).collect();
         Ok(Self {
             name: name.to_owned(),
@@ -182,9 +182,9 @@ impl Program {
             sources: built.sources,
             moves: built.moves,
             blocks,
-            slots: built.most_kept as usize,
+            slots: built.max_kept as usize,
             constants,
-            kept: (built.first_kept, built.most_kept),
+            kept: (built.first_kept, built.max_kept),
             inputs: built.inputs,
             initials: built.initials,
             memories: built.memories,

@@ -2,8 +2,8 @@
 //! `forward/blend_shared_auxiliary`, against one twin; and the pictures of the last three against the first two.
 
 use crate::common::blending::{
-    Beside, Blended, CHAINED, How, LOW, SHARED, UNCHAINED, assert_same, forms, forward, forward_auxiliary,
-    forward_limited, has_strips, strips_of,
+    Auxiliary, Blended, CHAINED, Form, LOW, SHARED, UNCHAINED, assert_same, forms, forward,
+    forward_auxiliary, forward_limited, has_strips, strips_of,
 };
 use crate::common::frame::Lists;
 use crate::common::prelude::*;
@@ -28,8 +28,8 @@ fn everywhere(gpu: &Gpu, splats: Vec<Splat>, size: [u32; 2]) -> Lists {
 
 /// Number of regions that a subgroup may have.
 fn region_counts(gpu: &Gpu) -> impl Iterator<Item = u32> + use<> {
-    let most = if gpu.subgroup() <= 64 { 4 } else { 2 };
-    [2, 4].into_iter().filter(move |&parts| parts <= most)
+    let max = if gpu.subgroup() <= 64 { 4 } else { 2 };
+    [2, 4].into_iter().filter(move |&parts| parts <= max)
 }
 
 /// Compares stable pixels' colour and transmittance with the twin's. `visible` shortens a pixel's list.
@@ -66,20 +66,20 @@ fn assert_same_bits(gpu: &Gpu, [a, b]: [&Blended; 2], pixels: usize, what: &str)
 
 /// Blends on the device in all forms and by the twin, and compares every output.
 fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
-    for how in forms(gpu).into_iter().map(|how| How { inverse_depth, entries_per_pass, ..how }) {
-        match how.strips {
-            true => check_strips(gpu, lists, how),
-            false => check_one(gpu, lists, how),
+    for form in forms(gpu).into_iter().map(|form| Form { inverse_depth, entries_per_pass, ..form }) {
+        match form.strips {
+            true => check_strips(gpu, lists, form),
+            false => check_one(gpu, lists, form),
         }
     }
 }
 
 /// Checks the picture composited in strips against `accumulated`, and the other outputs against those without
 /// strips, to the bit.
-fn check_strips(gpu: &Gpu, lists: &Lists, how: How) {
+fn check_strips(gpu: &Gpu, lists: &Lists, form: Form) {
     let count = lists.view.pixels();
-    let usual = forward(gpu, lists, How { strips: false, ..how });
-    let blended = forward(gpu, lists, how);
+    let usual = forward(gpu, lists, Form { strips: false, ..form });
+    let blended = forward(gpu, lists, form);
     let strips = strips_of(lists);
     let background = lists.view.background.map(|x| x as f32);
     let accumulated = gpu.read::<[f32; 4]>(&usual.accumulated, count);
@@ -102,8 +102,8 @@ fn check_strips(gpu: &Gpu, lists: &Lists, how: How) {
     equal(&usual.last_entries, &blended.last_entries, count);
 }
 
-fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
-    let blended = forward(gpu, lists, how);
+fn check_one(gpu: &Gpu, lists: &Lists, form: Form) {
+    let blended = forward(gpu, lists, form);
     let count = lists.view.pixels();
     // The kernel does not add the background.
     let expected: Vec<Pixel> =
@@ -116,13 +116,13 @@ fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
     let values: Vec<f64> =
         expected.iter().flat_map(|p| [p.color[0], p.color[1], p.color[2], p.transmittance]).collect();
     pixels("accumulated", &actual, &values, &unstable, TOLERANCE)
-        .unwrap_or_else(|error| panic!("{how:?}: {error}"));
+        .unwrap_or_else(|error| panic!("{form:?}: {error}"));
 
-    if how.inverse_depth {
+    if form.inverse_depth {
         let actual = gpu.read_f64::<f32>(&blended.depth_sums, count);
         let values: Vec<f64> = expected.iter().map(|p| p.inverse_depth).collect();
         pixels("inverse depth", &actual, &values, &unstable, TOLERANCE)
-            .unwrap_or_else(|error| panic!("{how:?}: {error}"));
+            .unwrap_or_else(|error| panic!("{form:?}: {error}"));
     } else {
         assert!(gpu.read::<u32>(&blended.depth_sums, count).iter().all(|&word| word == UNTOUCHED));
     }
@@ -165,12 +165,12 @@ pub fn blend_of_opaque_layers() {
 #[test]
 pub fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();
-    for (opacity, how) in [([0.005, 0.03], CHAINED), ([0.5, 1.0], CHAINED), ([0.02, 1.0], UNCHAINED)] {
+    for (opacity, form) in [([0.005, 0.03], CHAINED), ([0.5, 1.0], CHAINED), ([0.02, 1.0], UNCHAINED)] {
         let lists = lists(&gpu, 301, opacity);
-        let at_once = forward(&gpu, &lists, how);
+        let at_once = forward(&gpu, &lists, form);
         for entries_per_pass in [64, 100, 300, 301] {
             check(&gpu, &lists, true, entries_per_pass);
-            let passes = forward(&gpu, &lists, How { entries_per_pass, ..how });
+            let passes = forward(&gpu, &lists, Form { entries_per_pass, ..form });
             let what = format!("{entries_per_pass} per pass");
             assert_same_bits(&gpu, [&at_once, &passes], lists.view.pixels(), &what);
         }
@@ -216,8 +216,8 @@ pub fn blend_of_long_needles_errs_no_more_in_chained_columns() {
     for longest in [300.0, 9000.0] {
         let lists = needles(&gpu, longest);
         let unstable = lists.unstable();
-        let [direct, chained] = [UNCHAINED, CHAINED].map(|how| {
-            let blended = forward(&gpu, &lists, how);
+        let [direct, chained] = [UNCHAINED, CHAINED].map(|form| {
+            let blended = forward(&gpu, &lists, form);
             let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, lists.view.pixels());
             let stable = pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]);
             let error = |(index, pixel): (usize, [u32; 2])| {
@@ -238,7 +238,7 @@ pub fn blend_reports_tiles_that_no_pass_finishes() {
     // The lists fit several passes, fit the only pass, or exceed it.
     for (entries_per_pass, passes, overflow) in [(99, None, 0), (100, Some(1), 0), (99, Some(1), 1)] {
         let lists = lists(&gpu, 100, [0.02, 0.6]);
-        forward(&gpu, &lists, How { entries_per_pass, passes, ..UNCHAINED });
+        forward(&gpu, &lists, Form { entries_per_pass, passes, ..UNCHAINED });
         let reported = gpu.read_state(&lists.state, STATE_OVERFLOW);
         assert_eq!(reported, overflow, "{entries_per_pass} entries per pass, {passes:?} passes");
     }
@@ -260,9 +260,9 @@ fn check_limits(gpu: &Gpu, lists: &Lists, distance_order: bool) {
     let limits: Vec<f32> =
         (0..count).map(|i| [0.0, 1.0 / 0.4, 1.0 / 8.9, 1.0 / 4.0][i % 4] * (1.0 + i as f32 * 1e-5)).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
-    let how = How { entries_per_pass: 32, distance_order, ..CHAINED };
+    let form = Form { entries_per_pass: 32, distance_order, ..CHAINED };
     for linear_depth in [false, true] {
-        let blended = forward_limited(gpu, lists, how, linear_depth, Some(&buffer));
+        let blended = forward_limited(gpu, lists, form, linear_depth, Some(&buffer));
         let visible = |index: usize, list: Vec<_>| before(&list, limits[index].into());
         assert_pixels(gpu, lists, &blended, "with limits", visible);
         let depths = gpu.read_f64::<f32>(&blended.depth_sums, count);
@@ -301,8 +301,9 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     let list = [vec![0; ENTRIES - 1], vec![1]].concat();
     let lists = Lists::new(&gpu, splats, vec![list], &small_view([16, 16]));
     let blend = |parts, entries_per_pass| {
-        let how = How { parts, incremental_exp: blocks.tuning.incremental_exp, entries_per_pass, ..CHAINED };
-        gpu.read::<[f32; 4]>(&forward(&gpu, &lists, how).accumulated, 256)
+        let form =
+            Form { parts, incremental_exp: blocks.tuning.incremental_exp, entries_per_pass, ..CHAINED };
+        gpu.read::<[f32; 4]>(&forward(&gpu, &lists, form).accumulated, 256)
     };
     let chosen = blend(blocks.regions_per_subgroup, blocks.entries_per_pass);
     let [red, _, _, transmittance] = chosen[2 * 16 + 2];
@@ -321,29 +322,29 @@ pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     let gpu = Gpu::new();
     let lists = lists(&gpu, 200, [0.02, 0.99]);
     let count = lists.view.pixels();
-    let words = |how| {
-        let blended = forward(&gpu, &lists, how);
+    let words = |form| {
+        let blended = forward(&gpu, &lists, form);
         let accumulated = gpu.read::<u32>(&blended.accumulated, 4 * count);
         (accumulated, gpu.read::<u32>(&blended.last_entries, count))
     };
     let one = words(CHAINED);
     for parts in region_counts(&gpu) {
-        assert!(words(How { parts, ..CHAINED }) == one, "{parts} regions per subgroup");
+        assert!(words(Form { parts, ..CHAINED }) == one, "{parts} regions per subgroup");
     }
     // The height of regions changes nothing either, if each opacity is computed alone.
     assert!(words(LOW) == words(UNCHAINED), "low regions");
     assert!(words(SHARED) == words(UNCHAINED), "splats in shared memory");
 }
 
-/// The form `how` with a workgroup of this many invocations per tile.
-fn shared(invocations: u32, how: How) -> How {
-    How { by_workgroup: Some(invocations), ..how }
+/// `form` with a workgroup of this many invocations per tile.
+fn shared(invocations: u32, form: Form) -> Form {
+    Form { by_workgroup: Some(invocations), ..form }
 }
 
 fn check_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) {
-    check_shared_form(gpu, lists, shared(workgroup_size, How { entries_per_pass, ..UNCHAINED }));
+    check_shared_form(gpu, lists, shared(workgroup_size, Form { entries_per_pass, ..UNCHAINED }));
     // Columns of up to 8 pixels.
-    check_shared_form(gpu, lists, shared(workgroup_size.min(32), How { entries_per_pass, ..CHAINED }));
+    check_shared_form(gpu, lists, shared(workgroup_size.min(32), Form { entries_per_pass, ..CHAINED }));
 }
 
 fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
@@ -354,20 +355,20 @@ fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
     }
 }
 
-fn check_shared_form(gpu: &Gpu, lists: &Lists, how: How) {
-    let both = |how: How| {
-        let regions = How { by_workgroup: None, entries_per_pass: u32::MAX, ..how };
-        [how, regions].map(|how| forward(gpu, lists, how))
+fn check_shared_form(gpu: &Gpu, lists: &Lists, form: Form) {
+    let both = |form: Form| {
+        let regions = Form { by_workgroup: None, entries_per_pass: u32::MAX, ..form };
+        [form, regions].map(|form| forward(gpu, lists, form))
     };
-    let [shared, regions] = both(how);
+    let [shared, regions] = both(form);
     let count = lists.view.pixels();
-    let what = format!("{how:?}");
+    let what = format!("{form:?}");
     let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
     // Precise arithmetic decides everywhere which entries count.
     assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
     assert_alike(gpu, [&shared, &regions], count, &what);
-    if has_strips(gpu) && how.incremental_exp {
-        let [shared, regions] = both(How { strips: true, ..how });
+    if has_strips(gpu) && form.incremental_exp {
+        let [shared, regions] = both(Form { strips: true, ..form });
         let count = 3 * strips_of(lists).values() as usize;
         assert_eq!(words(&shared.composited, count), words(&regions.composited, count), "{what}");
     }
@@ -415,13 +416,14 @@ fn blend_shared_equals_blend_with_depth_limits() {
     let count = view.pixels();
     let limits: Vec<f32> = (0..count).map(|i| (i % 9) as f32 / 5.0).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
-    for (how, workgroup_size, distance_order) in
+    for (form, workgroup_size, distance_order) in
         [(CHAINED, 32, false), (UNCHAINED, 64, false), (CHAINED, 32, true)]
     {
-        let (how, lists) = (How { distance_order, ..how }, if distance_order { &unsorted } else { &sorted });
-        let in_passes = shared(workgroup_size, How { entries_per_pass: 32, ..how });
+        let (form, lists) =
+            (Form { distance_order, ..form }, if distance_order { &unsorted } else { &sorted });
+        let in_passes = shared(workgroup_size, Form { entries_per_pass: 32, ..form });
         let shared = forward_limited(&gpu, lists, in_passes, false, Some(&buffer));
-        let regions = forward_limited(&gpu, lists, how, false, Some(&buffer));
+        let regions = forward_limited(&gpu, lists, form, false, Some(&buffer));
         let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
         assert!(words(&shared.last_entries, count) == words(&regions.last_entries, count));
         assert_alike(&gpu, [&shared, &regions], count, &format!("{workgroup_size} invocations"));
@@ -436,7 +438,7 @@ fn motions(lists: &Lists) -> Vec<[f32; 2]> {
 const ALL: Outputs = Outputs { pick: true, motion: true, surface: true };
 
 /// Compares the auxiliary values of stable pixels with the twin's.
-fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f32; 2]], what: &str) {
+fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Auxiliary, motions: &[[f32; 2]], what: &str) {
     let count = lists.view.pixels();
     let picks = gpu.read::<[u32; 2]>(&auxiliary.picks, count);
     let sums = gpu.read::<[f32; 2]>(&auxiliary.motion_sums, count);
@@ -465,24 +467,24 @@ fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f3
     }
 }
 
-fn check_auxiliary(gpu: &Gpu, lists: &Lists, how: How) {
+fn check_auxiliary(gpu: &Gpu, lists: &Lists, form: Form) {
     let motions = motions(lists);
-    let both = forward_auxiliary(gpu, lists, how, &motions, ALL);
-    let what = format!("{how:?}");
+    let both = forward_auxiliary(gpu, lists, form, &motions, ALL);
+    let what = format!("{form:?}");
     assert_auxiliary(gpu, lists, &both, &motions, &what);
     // The picture of the kernel without auxiliary outputs, in one pass.
-    let alone = forward(gpu, lists, How { entries_per_pass: u32::MAX, ..how });
+    let alone = forward(gpu, lists, Form { entries_per_pass: u32::MAX, ..form });
     assert_same_bits(gpu, [&both.blended, &alone], lists.view.pixels(), &what);
 }
 
 /// Each output alone equals that of all together, and the others stay untouched.
-fn check_apart(gpu: &Gpu, lists: &Lists, how: How) {
+fn check_apart(gpu: &Gpu, lists: &Lists, form: Form) {
     let (motions, count) = (motions(lists), lists.view.pixels());
     let words = |buffer: &Buffer| gpu.read::<u32>(buffer, 2 * count);
-    let all = forward_auxiliary(gpu, lists, how, &motions, ALL);
+    let all = forward_auxiliary(gpu, lists, form, &motions, ALL);
     for only in 0..3 {
         let outputs = Outputs { pick: only == 0, motion: only == 1, surface: only == 2 };
-        let one = forward_auxiliary(gpu, lists, How { inverse_depth: false, ..how }, &motions, outputs);
+        let one = forward_auxiliary(gpu, lists, Form { inverse_depth: false, ..form }, &motions, outputs);
         for (on, buffer, other) in [
             (outputs.pick, &one.picks, &all.picks),
             (outputs.motion, &one.motion_sums, &all.motion_sums),
@@ -497,7 +499,7 @@ fn check_apart(gpu: &Gpu, lists: &Lists, how: How) {
 /// The nearer of two splats with equal weights wins: 1/4 in front; behind it 3/4 of a third, which rounds to 1/4.
 /// With a third plus one step, the farther one wins. The splats are so wide that alpha is their opacity at each
 /// pixel.
-fn check_ties(gpu: &Gpu, how: How) {
+fn check_ties(gpu: &Gpu, form: Form) {
     let third = 1.0f32 / 3.0;
     let more = f32::from_bits(third.to_bits() + 1);
     assert!(0.75 * third == 0.25 && 0.75 * more > 0.25);
@@ -517,12 +519,12 @@ fn check_ties(gpu: &Gpu, how: How) {
         let beside = forward_auxiliary(
             gpu,
             &lists,
-            how,
+            form,
             &motions(&lists),
             Outputs { pick: true, ..Outputs::default() },
         );
         for [picked, weight] in gpu.read::<[u32; 2]>(&beside.picks, lists.view.pixels()) {
-            assert_eq!((picked, f32::from_bits(weight) >= 0.25), (place, true), "{how:?}");
+            assert_eq!((picked, f32::from_bits(weight) >= 0.25), (place, true), "{form:?}");
         }
     }
 }
@@ -530,21 +532,21 @@ fn check_ties(gpu: &Gpu, how: How) {
 #[test]
 fn blend_auxiliary_picks_the_nearest_of_equal_weights() {
     let gpu = Gpu::new();
-    let in_passes = How { entries_per_pass: 2, ..CHAINED };
-    for how in [CHAINED, UNCHAINED, LOW, SHARED, in_passes] {
-        check_ties(&gpu, how);
+    let in_passes = Form { entries_per_pass: 2, ..CHAINED };
+    for form in [CHAINED, UNCHAINED, LOW, SHARED, in_passes] {
+        check_ties(&gpu, form);
     }
-    [CHAINED, UNCHAINED, in_passes].into_iter().for_each(|how| check_ties(&gpu, shared(32, how)));
+    [CHAINED, UNCHAINED, in_passes].into_iter().for_each(|form| check_ties(&gpu, shared(32, form)));
 }
 
 #[test]
 fn blend_auxiliary_equals_its_twin() {
     let gpu = Gpu::new();
-    for how in [CHAINED, UNCHAINED, LOW, SHARED] {
+    for form in [CHAINED, UNCHAINED, LOW, SHARED] {
         for entries in [0, 33, 300] {
-            check_auxiliary(&gpu, &lists(&gpu, entries, [0.02, 0.6]), how);
+            check_auxiliary(&gpu, &lists(&gpu, entries, [0.02, 0.6]), form);
         }
-        check_auxiliary(&gpu, &Lists::long(&gpu, 40, [0.5, 1.0], &small_view([64, 48])), how);
+        check_auxiliary(&gpu, &Lists::long(&gpu, 40, [0.5, 1.0], &small_view([64, 48])), form);
     }
 }
 
@@ -552,12 +554,12 @@ fn blend_auxiliary_equals_its_twin() {
 fn blend_auxiliary_equals_its_twin_in_passes_and_regions() {
     let gpu = Gpu::new();
     let lists = lists(&gpu, 301, [0.005, 0.3]);
-    check_apart(&gpu, &lists, How { entries_per_pass: 64, ..CHAINED });
+    check_apart(&gpu, &lists, Form { entries_per_pass: 64, ..CHAINED });
     for entries_per_pass in [100, 301] {
-        check_auxiliary(&gpu, &lists, How { entries_per_pass, ..CHAINED });
+        check_auxiliary(&gpu, &lists, Form { entries_per_pass, ..CHAINED });
     }
     for parts in region_counts(&gpu) {
-        check_auxiliary(&gpu, &lists, How { parts, entries_per_pass: 128, ..CHAINED });
+        check_auxiliary(&gpu, &lists, Form { parts, entries_per_pass: 128, ..CHAINED });
     }
 }
 
@@ -569,8 +571,8 @@ fn blend_shared_auxiliary_equals_its_twin() {
         let lists = lists(&gpu, entries, [0.02, 0.6]);
         check_auxiliary(&gpu, &lists, shared(32, CHAINED));
         check_auxiliary(&gpu, &lists, shared(largest, UNCHAINED));
-        check_auxiliary(&gpu, &lists, shared(64, How { entries_per_pass: 100, ..UNCHAINED }));
+        check_auxiliary(&gpu, &lists, shared(64, Form { entries_per_pass: 100, ..UNCHAINED }));
     }
     let lists = lists(&gpu, 301, [0.005, 0.3]);
-    check_apart(&gpu, &lists, shared(32, How { entries_per_pass: 64, ..CHAINED }));
+    check_apart(&gpu, &lists, shared(32, Form { entries_per_pass: 64, ..CHAINED }));
 }

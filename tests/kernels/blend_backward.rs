@@ -1,7 +1,7 @@
 //! `backward/blend_backward` and `backward/blend_backward_subgroup_per_tile` against one twin.
 
 use crate::common::blending::{
-    Blended, CHAINED, How, OtherSums, SlotSums, backward, backward_alone, forms, forward,
+    Blended, CHAINED, Form, OtherSums, SlotSums, backward, backward_alone, forms, forward,
 };
 use crate::common::frame::{Lists, state};
 use crate::common::machine::{Machine, current};
@@ -75,7 +75,7 @@ fn compare(kernel: &str, actual: &[SplatGradient], expected: &[SplatGradient]) {
 }
 
 /// A kernel's name, and how it runs over lists.
-type Kernel = (&'static str, fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, How) -> SlotSums);
+type Kernel = (&'static str, fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, Form) -> SlotSums);
 
 /// Both kernels on a device; the interpreter runs only the first.
 fn kernels() -> &'static [Kernel] {
@@ -87,10 +87,10 @@ fn kernels() -> &'static [Kernel] {
 fn check(gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
     let d_pixels = image_gradient(lists);
     let expected = expected(lists, &d_pixels);
-    for how in forms(gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
-        let blended = forward(gpu, lists, how);
+    for form in forms(gpu).into_iter().map(|form| Form { entries_per_pass, ..form }) {
+        let blended = forward(gpu, lists, form);
         for (name, kernel) in kernels() {
-            let sums = kernel(gpu, lists, &blended, Some(&d_pixels), how);
+            let sums = kernel(gpu, lists, &blended, Some(&d_pixels), form);
             compare(name, &actual(lists, &sums), &expected);
         }
     }
@@ -152,22 +152,23 @@ pub fn blend_backward_with_other_sums_equals_its_twin() {
         // Only the weights of red.
         let edges: Vec<[f32; 4]> = d_pixels.iter().map(|d| [d[0].abs(), 0.0, 0.0, 0.0]).collect();
         let weights = self::expected(&lists, &edges);
-        let ways = forms(&gpu).into_iter().flat_map(|how| kernels().iter().map(move |kernel| (how, kernel)));
-        for (how, (name, kernel)) in ways {
-            let how = How { entries_per_pass, ..how };
-            let blended = forward(&gpu, &lists, how);
-            let usual = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
-            let how = How { sums: OtherSums::Absolute, ..how };
-            let absolute = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
-            assert!(usual.sums == absolute.sums, "{name}, {how:?}: other bits");
+        let ways =
+            forms(&gpu).into_iter().flat_map(|form| kernels().iter().map(move |kernel| (form, kernel)));
+        for (form, (name, kernel)) in ways {
+            let form = Form { entries_per_pass, ..form };
+            let blended = forward(&gpu, &lists, form);
+            let usual = kernel(&gpu, &lists, &blended, Some(&d_pixels), form);
+            let form = Form { sums: OtherSums::Absolute, ..form };
+            let absolute = kernel(&gpu, &lists, &blended, Some(&d_pixels), form);
+            assert!(usual.sums == absolute.sums, "{name}, {form:?}: other bits");
             let of_instances: Vec<f64> =
                 lists.instances.iter().flat_map(|&at| absolute.absolute[at as usize]).collect();
             let twin: Vec<f64> = expected.iter().flat_map(|d| d.absolute_px).collect();
             let skip = vec![false; expected.len()];
             gradient("absolute", &of_instances, &twin, &skip, TOLERANCE)
                 .unwrap_or_else(|e| panic!("{name}: {e}"));
-            let how = How { inverse_depth: false, sums: OtherSums::Weights, ..how };
-            let sums = kernel(&gpu, &lists, &blended, Some(&edges), how);
+            let form = Form { inverse_depth: false, sums: OtherSums::Weights, ..form };
+            let sums = kernel(&gpu, &lists, &blended, Some(&edges), form);
             let of_instances: Vec<f64> =
                 lists.instances.iter().map(|&at| sums.sums[at as usize][8]).collect();
             let twin: Vec<f64> = weights.iter().map(|d| d.color[0]).collect();
@@ -194,13 +195,13 @@ pub fn blend_backward_of_the_first_scene_alone() {
         let d_pixels = image_gradient(&lists);
         let visible = lists.frame.splats.len();
         let (order, instances) = (lists.lists.clone(), lists.instances.clone());
-        let how = How { entries_per_pass, sums, inverse_depth: sums == OtherSums::None, ..CHAINED };
-        let blended = forward(&gpu, &lists, how);
+        let form = Form { entries_per_pass, sums, inverse_depth: sums == OtherSums::None, ..CHAINED };
+        let blended = forward(&gpu, &lists, form);
         // Only the weights are written.
         let first_sum = if sums == OtherSums::Weights { 8 } else { 0 };
         let mut of_scenes = |first_scene: usize| -> Vec<Vec<f64>> {
             lists.state = state(&gpu, [first_scene, visible, instances.len()]);
-            let SlotSums { sums: own, absolute } = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
+            let SlotSums { sums: own, absolute } = kernel(&gpu, &lists, &blended, Some(&d_pixels), form);
             let absolute = absolute
                 .into_iter()
                 .map(|own| own.map(|x| if sums == OtherSums::Absolute { x } else { 0.0 }));
@@ -218,7 +219,7 @@ pub fn blend_backward_of_the_first_scene_alone() {
                 let end = list.iter().rposition(is_of_first).map_or(0, |last| last + 1);
                 for (entry, at) in instances.by_ref().take(list.len()).enumerate() {
                     let what =
-                        format!("{name}, {how:?}, {first_scene} of {visible}, entry {entry}, {end} count");
+                        format!("{name}, {form:?}, {first_scene} of {visible}, entry {entry}, {end} count");
                     assert!(entry >= end || some[at] == all[at], "{what}");
                     let is_behind = single && entry >= end + batch;
                     assert!(!is_behind || is_nothing(&some[at]), "{what}");
@@ -226,6 +227,6 @@ pub fn blend_backward_of_the_first_scene_alone() {
                 }
             }
         }
-        assert!(!single || entries <= batch || spared > 0, "{name}, {how:?}: nothing to spare");
+        assert!(!single || entries <= batch || spared > 0, "{name}, {form:?}: nothing to spare");
     }
 }

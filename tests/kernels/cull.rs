@@ -7,7 +7,7 @@ use crate::reference::project::project;
 use ashsplat::kernels::forward::cull;
 
 /// View of all tests, with these shapes in place of Gaussians.
-fn view_of(drawn: Drawn) -> View {
+fn view_of(drawn: Style) -> View {
     View { drawn, ..small_view([53, 37]) }
 }
 
@@ -141,10 +141,10 @@ pub fn cull_equals_its_twin_with_parallel_rays() {
     let gpu = Gpu::new();
     let gaussians = scene(17, 700);
     for (extent, antialias) in [(Extent::Exact, false), (Extent::Reference, true)] {
-        let drawn = Drawn { orthographic: true, ..Drawn::AS_THEY_ARE };
+        let drawn = Style { orthographic: true, ..Style::AS_THEY_ARE };
         let view = View { extent, antialias, focal_px: [13.0, 14.5], ..view_of(drawn) };
         culled(&gpu, &view, &gaussians);
-        let perspective = View { drawn: Drawn::AS_THEY_ARE, ..view.clone() };
+        let perspective = View { drawn: Style::AS_THEY_ARE, ..view.clone() };
         let [parallel, perspective] = [view, perspective].map(|view| cull_twin(&gaussians, &view));
         assert_ne!(parallel, perspective, "other rays see others");
     }
@@ -157,7 +157,7 @@ pub fn cull_equals_its_twin_with_a_3d_filter() {
     let gaussians = scene(13, 700);
     let unfiltered = cull_twin(&gaussians, &small_view([53, 37]));
     for filter_3d in [0.0078125, 0.125] {
-        let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
+        let drawn = Style { dilation_px2: f64::from(0.1_f32), ..Style::AS_THEY_ARE };
         let view = View { filter_3d, antialias: true, ..view_of(drawn) };
         culled(&gpu, &view, &gaussians);
         assert_ne!(cull_twin(&gaussians, &view), unfiltered, "it changes what is visible");
@@ -196,7 +196,7 @@ pub fn cull_equals_its_twin_where_a_part_is_cut() {
         Limits { mean: [[0.0, 0.0, low[2]], high], opacity_logit: -1.0, log_density: 0.5 },
     ];
     let seen = cuts.map(|cut| {
-        let flags = culled(&gpu, &view_of(Drawn { cut, ..Drawn::AS_THEY_ARE }), &gaussians);
+        let flags = culled(&gpu, &view_of(Style { cut, ..Style::AS_THEY_ARE }), &gaussians);
         // A cut Gaussian is never visible, wherever it projects to.
         let lost = (0..gaussians.len()).find(|&i| flags[i] == 1 && !cut.keep(&gaussians[i]));
         assert_eq!(lost, None, "{cut:?}");
@@ -244,7 +244,7 @@ pub fn cull_equals_its_twin_under_dropout() {
     let keys = [(0, 0, 1), (1 << 22, 0, 1), (1 << 22, 0, 2), (1 << 22, 1, 1), (3 << 22, 0, 1)];
     let left_out = keys.map(|(below, seed, iteration)| {
         let dropout = Dropout { below, seed, iteration };
-        let drawn = Drawn { dropout: Some(dropout), ..Drawn::AS_THEY_ARE };
+        let drawn = Style { dropout: Some(dropout), ..Style::AS_THEY_ARE };
         let flags = culled(&gpu, &view_of(drawn), &gaussians);
         assert_eq!((0..size).find(|&i| flags[i] == 1 && dropout.drops(i)), None, "{dropout:?}");
         (0..size).filter(|&i| dropout.drops(i)).collect::<Vec<_>>()
@@ -262,9 +262,9 @@ pub fn cull_equals_its_twin_under_dropout() {
 pub fn cull_equals_its_twin_under_a_scenes_opacity() {
     let gpu = Gpu::new();
     let gaussians = scene(15, 700);
-    for (drawn, fades) in [(Drawn::AS_THEY_ARE, true), (drawn_shapes()[1], false), (drawn_shapes()[2], false)]
+    for (drawn, fades) in [(Style::AS_THEY_ARE, true), (drawn_shapes()[1], false), (drawn_shapes()[2], false)]
     {
-        let view = |tint| View { antialias: true, ..view_of(Drawn { tint, ..drawn }) };
+        let view = |tint| View { antialias: true, ..view_of(Style { tint, ..drawn }) };
         let seen = [1.0, 0.5, 0.0625]
             .map(|opacity| culled(&gpu, &view(Some(Tint { color: [1.0; 3], opacity })), &gaussians));
         assert_eq!(seen[0], culled(&gpu, &view(None), &gaussians));
@@ -325,7 +325,7 @@ pub fn cull_equals_its_twin_with_cut_outs() {
     for gaussians in scenes.iter().map(|(_, gaussians)| gaussians).chain([&mixed]) {
         let all = culled_behind(&gpu, &small_view([53, 37]), gaussians, None);
         for cut_outs in sets {
-            let drawn = Drawn { cut_outs, ..Drawn::AS_THEY_ARE };
+            let drawn = Style { cut_outs, ..Style::AS_THEY_ARE };
             let flags = culled_behind(&gpu, &view_of(drawn), gaussians, None);
             let expected = |i: usize| all[i] * u32::from(drawn.keeps(&gaussians[i]));
             assert_eq!((0..size).find(|&i| flags[i] != expected(i)), None, "{cut_outs:?}");

@@ -141,8 +141,7 @@ fn draw_weights_equals_its_twin() {
     let spec = draw_weights::Spec { workgroup_size: gpu.workgroup(64) };
     // The second of two chunks.
     const FIRST: usize = 5;
-    for (size, least) in sizes(spec.workgroup_size as usize).into_iter().flat_map(|n| [(n, 0.005), (n, -1.0)])
-    {
+    for (size, min) in sizes(spec.workgroup_size as usize).into_iter().flat_map(|n| [(n, 0.005), (n, -1.0)]) {
         let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
         for (gaussian, logit) in gaussians.iter_mut().zip([-80.0, -5.3, -5.29, 80.0]) {
             gaussian.opacity_logit = logit;
@@ -155,12 +154,12 @@ fn draw_weights_equals_its_twin() {
             first: FIRST as u32,
             count: size as u32,
             unit: unit as f32,
-            least_opacity: least as f32,
+            least_opacity: min as f32,
         };
         gpu.dispatch_over::<draw_weights::Interface>(&spec, &bind, &push, size);
         let weights = gpu.read::<u32>(&weights, size + FIRST + 1);
         for (i, gaussian) in gaussians.iter().enumerate() {
-            let expected = twin::weight(gaussian.opacity_logit, unit, least);
+            let expected = twin::weight(gaussian.opacity_logit, unit, min);
             let actual = f64::from(weights[FIRST + i]);
             let close = (actual - expected).abs() <= 1.0 + 1e-6 * expected;
             assert!(close && (actual > 0.0) == (expected > 0.0), "{i}: {actual}, expected {expected}");
@@ -171,12 +170,12 @@ fn draw_weights_equals_its_twin() {
 }
 
 /// Sources with their kinds, and the number of draws of each Gaussian.
-type Drawn = (Vec<(usize, u32)>, Vec<u32>);
+type DrawResult = (Vec<(usize, u32)>, Vec<u32>);
 
 /// Stream of the random numbers of [`KEY`].
 const STREAM: u32 = 3;
 
-fn drawn(gpu: &Gpu, weights: &[u32], rows: usize) -> Drawn {
+fn drawn(gpu: &Gpu, weights: &[u32], rows: usize) -> DrawResult {
     let spec = draw_sources::Spec { workgroup_size: gpu.workgroup(64), explicit_uniforms: false };
     let count = weights.len();
     let mut prefix = weights.to_vec();
@@ -203,13 +202,13 @@ fn draw_sources_equals_its_twin() {
     for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
         let mut random = Random::new(size as u64);
         // Also sums near the end of 32 bits, and weights that allow no draw.
-        for most in [5, u32::MAX / size as u32, 1] {
-            let mut weight = || if random.below(3) == 0 { 0 } else { random.below(most) };
+        for max in [5, u32::MAX / size as u32, 1] {
+            let mut weight = || if random.below(3) == 0 { 0 } else { random.below(max) };
             let weights: Vec<u32> = (0..size).map(|_| weight()).collect();
             let rows = size + size / 3 + 1;
             let bits = |row: usize| pcg4d([KEY[0], KEY[1], row as u32, STREAM])[0];
             let expected = twin::draw(&weights, rows, bits);
-            assert_eq!(drawn(&gpu, &weights, rows), expected, "{size} up to {most}");
+            assert_eq!(drawn(&gpu, &weights, rows), expected, "{size} up to {max}");
         }
     }
 }

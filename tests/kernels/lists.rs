@@ -53,11 +53,11 @@ pub fn compact_equals_its_twin() {
 const BLOCK: u32 = 64;
 
 /// A frame of `blocks` blocks; each scene has its own blocks and a number of blocks per range.
-fn check_visible_ranges(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize)], most: u32) {
+fn check_visible_ranges(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize)], max: u32) {
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
     let spec = compact::Spec { workgroup_size, subgroup_size, block: BLOCK };
     let mut random = Random::new(blocks as u64);
-    let mut offsets: Vec<u32> = (0..blocks).map(|_| random.below(most)).collect();
+    let mut offsets: Vec<u32> = (0..blocks).map(|_| random.below(max)).collect();
     let visible = scan_spine(&mut offsets);
     let table = scenes.iter().map(|(own, blocks_per_range)| CameraBlock {
         scene_first: own.start as u32 * BLOCK,
@@ -107,14 +107,14 @@ fn compact_writes_the_ranges_of_all_scenes() {
     let alone =
         [(1, 0..1, 1), (1, 0..1, 5), (5, 0..5, 5), (6, 0..6, 5), (300, 0..300, 3), (1000, 0..1000, 1)];
     let one_of_some = [(20, 3..9, 4), (20, 7..20, 4), (20, 0..8, 4)];
-    for most in [1, 300] {
+    for max in [1, 300] {
         for (blocks, own, blocks_per_range) in alone.iter().chain(&one_of_some).cloned() {
-            check_visible_ranges(&gpu, blocks, &[(own, blocks_per_range)], most);
+            check_visible_ranges(&gpu, blocks, &[(own, blocks_per_range)], max);
         }
         // Scenes that are not drawn: between two others, and behind all.
-        check_visible_ranges(&gpu, 20, &[(0..5, 2), (5..5, 1), (5..6, 3), (6..20, 4), (20..20, 1)], most);
+        check_visible_ranges(&gpu, 20, &[(0..5, 2), (5..5, 1), (5..6, 3), (6..20, 4), (20..20, 1)], max);
         let many: Vec<_> = (0..200).map(|scene| (2 * scene..2 * scene + 2, 1 + scene % 3)).collect();
-        check_visible_ranges(&gpu, 400, &many, most);
+        check_visible_ranges(&gpu, 400, &many, max);
     }
 }
 

@@ -228,7 +228,7 @@ fn sparse_depth_gather_equals_its_twin() {
         }
         for strips in [false, true] {
             let (added, sums) = run_sparse_depth_gather(&gpu, &depths, (&points, &of_points), (strips, 0.0));
-            let largest = expected.iter().fold(1.0_f64, |most, x| most.max(x.abs()));
+            let largest = expected.iter().fold(1.0_f64, |max, x| max.max(x.abs()));
             elementwise("gradient", &added, &expected, 2e-6 * largest, 2e-5).expect("the gradient");
             let after = depths.expected();
             for (pixel, &sum) in sums.iter().enumerate() {

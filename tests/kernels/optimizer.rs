@@ -174,11 +174,8 @@ fn adam_with_packed_moments_strays_little() {
             }
         }
         let (share, side) = (f64::sqrt(off / way), sum / f64::sqrt(off));
-        let most = if halves { 0.2 } else { 0.1 };
-        assert!(
-            share < most && side.abs() < 4.0,
-            "degree {sh_degree}: strays by {share}, to one side {side}"
-        );
+        let max = if halves { 0.2 } else { 0.1 };
+        assert!(share < max && side.abs() < 4.0, "degree {sh_degree}: strays by {share}, to one side {side}");
         let words: Vec<[u32; 4]> = gpu.read(&state.moments[0], 8);
         assert!(words[0] != [0; 4] && words[1] == [0; 4], "a Gaussian that no view sees has no moments");
     }
@@ -342,7 +339,7 @@ fn compare_moved(before: &[Gaussian], after: &[Gaussian], normal: impl Fn(usize)
     for (i, (before, after)) in before.iter().zip(after).enumerate() {
         let delta = noise(before, normal(i), 3.0);
         let expected = [0, 1, 2].map(|axis| before.mean[axis] + delta[axis]);
-        let largest = delta.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let largest = delta.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
         let bound =
             (1e-5 + error) * largest + 1e-6 * (1.0 + before.mean.iter().map(|x| x.abs()).sum::<f64>());
         elementwise("mean", &after.mean, &expected, bound, 1e-6).unwrap_or_else(|e| panic!("{i}: {e}"));

@@ -24,7 +24,7 @@ pub fn pose_gradient_equals_its_twin() {
             let xi = parameters[image as usize].map(f64::from);
             let expected = gradient_of_parameters(xi, g);
             let [actual, of_parameters] = pose_gradient(&gpu, &sums, &parameters, image);
-            let largest = |values: [f64; 6]| values.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let largest = |values: [f64; 6]| values.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
             // The sums have both signs, hence an absolute bound.
             let bound = 1e-5 * f64::from(count).sqrt() + 1e-5 * largest(g);
             elementwise("g", &actual, &g, bound, 0.0).unwrap_or_else(|e| panic!("{count}: {e}"));

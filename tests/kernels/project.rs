@@ -36,9 +36,9 @@ fn check_tiles(gpu: &Gpu, projected: &Projected, footprints: &[[u32; 4]], view: 
     let lists = gpu.read::<[u32; 2]>(&projected.tile_lists, projected.expected.len());
     let (mut counted, mut exact) = (0, 0);
     for (place, splat) in projected.splats(gpu, view).iter().enumerate() {
-        let (fewest, most) = tile_bounds(splat, view);
+        let (min, max) = tile_bounds(splat, view);
         let count = tiles_met(lists[place]);
-        assert!(fewest <= count && count <= most, "{count} not in {fewest}..={most}, {splat:?}");
+        assert!(min <= count && count <= max, "{count} not in {min}..={max}, {splat:?}");
         assert_eq!(footprints[place][3], count);
         let within = match view.extent {
             Extent::Exact => touched_at_most(splat, view),
@@ -122,7 +122,7 @@ fn project_equals_its_twin() {
 
 #[test]
 fn project_equals_its_twin_in_every_mode() {
-    let (as_they_are, usual) = (Drawn::AS_THEY_ARE, small_view([53, 37]));
+    let (as_they_are, usual) = (Style::AS_THEY_ARE, small_view([53, 37]));
     let [smaller, ellipsoids, dots] = drawn_shapes();
     let mut views = Vec::new();
     for sh_degree in 0..=3 {
@@ -146,29 +146,29 @@ fn project_equals_its_twin_in_every_mode() {
     // Opacities under dropout, some above 1; and z as the blended depth.
     let dropout = Some(Dropout { below: 1 << 22, seed: 3, iteration: 9 });
     for (antialias, z_record) in [(false, true), (true, false), (true, true)] {
-        draw(Drawn { dropout, z_record, ..as_they_are }, antialias);
+        draw(Style { dropout, z_record, ..as_they_are }, antialias);
     }
     // A scene's tint, also where colours are clamped, and for other shapes.
     for (color, opacity) in [([1.0; 3], 1.0), ([0.5, 0.0, 1.75], 0.375), ([65536.0, 1.0, 0.25], 1.0)] {
         for shape in [as_they_are, ellipsoids, dots] {
-            let drawn = Drawn { tint: Some(Tint { color, opacity }), ..shape };
+            let drawn = Style { tint: Some(Tint { color, opacity }), ..shape };
             draw(drawn, false);
             draw(drawn, true);
         }
     }
     // The order of distances, with z as the blended depth too.
     for z_record in [false, true] {
-        draw(Drawn { distance_order: true, z_record, ..as_they_are }, false);
+        draw(Style { distance_order: true, z_record, ..as_they_are }, false);
     }
     // A selection in another colour, to which the tint does not apply.
     for (share, tint) in [(0.75, None), (1.0, Some(Tint { color: [0.5, 1.5, 1.0], opacity: 0.5 }))] {
         let selection = Some(Selection { color: [1.0, 0.25, 0.0], share });
-        let drawn = Drawn { selection, tint, ..as_they_are };
+        let drawn = Style { selection, tint, ..as_they_are };
         views.extend([1, 33, 500].map(|size| (size, View { drawn, ..usual.clone() })));
     }
     // Mip-Splatting's filters.
     for (filter_3d, dilation) in [(0.0, 0.1_f32), (0.0078125, 0.1), (0.125, 0.3)] {
-        let drawn = Drawn { dilation_px2: dilation.into(), ..as_they_are };
+        let drawn = Style { dilation_px2: dilation.into(), ..as_they_are };
         for antialias in [false, true] {
             views.push((500, View { filter_3d, antialias, drawn, ..usual.clone() }));
         }
@@ -179,9 +179,9 @@ fn project_equals_its_twin_in_every_mode() {
         (as_they_are, false, Extent::Exact),
         (as_they_are, true, Extent::Reference),
         (ellipsoids, false, Extent::Exact),
-        (Drawn { z_record: true, ..as_they_are }, true, Extent::Exact),
+        (Style { z_record: true, ..as_they_are }, true, Extent::Exact),
     ] {
-        let drawn = Drawn { orthographic: true, ..drawn };
+        let drawn = Style { orthographic: true, ..drawn };
         for (sh_degree, size) in [(3, 500), (0, 33), (1, 1)] {
             let focal_px = [13.0, 14.5];
             views.push((size, View { drawn, antialias, extent, sh_degree, focal_px, ..usual.clone() }));

@@ -242,14 +242,14 @@ pub fn project_backward_equals_its_twin_in_every_mode() {
     }
     // Mip-Splatting's filters, with the compensation differentiated and constant.
     for (filter_3d, antialias_detached) in [(0.0, true), (0.0078125, false), (0.125, true)] {
-        let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
+        let drawn = Style { dilation_px2: f64::from(0.1_f32), ..Style::AS_THEY_ARE };
         views.push(View { filter_3d, antialias: true, antialias_detached, drawn, ..small_view([53, 37]) });
     }
     // Opacities raised by dropout; and z as the blended depth.
     let dropout = Some(Dropout { below: 1 << 22, seed: 3, iteration: 9 });
     for (antialias, filter_3d, z_record) in [(false, 0.0, true), (true, 0.0, false), (true, 0.0078125, true)]
     {
-        let drawn = Drawn { dropout, z_record, ..Drawn::AS_THEY_ARE };
+        let drawn = Style { dropout, z_record, ..Style::AS_THEY_ARE };
         views.push(View { antialias, filter_3d, drawn, ..small_view([53, 37]) });
     }
     let gpu = Gpu::new();

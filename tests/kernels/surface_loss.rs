@@ -170,7 +170,7 @@ fn surface_alignment_equals_its_twin() {
                 .chain((0..3).map(|k| slope(&|g, by| g.mean[k] += by)))
                 .collect();
             let found = [&own.quat[..], &own.log_scale, &own.mean].concat();
-            let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let largest = expected.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
             elementwise(&format!("gradient of {i}"), &found, &expected, 1e-4 * largest.max(1e-4), 2e-3)
                 .expect("the gradient");
             assert_eq!(own.opacity_logit, 0.0);

@@ -137,18 +137,18 @@ pub struct Page {
 }
 
 /// Messages of the server.
-pub enum Heard {
-    Frame(Shown),
+pub enum PageMessage {
+    Frame(PageFrame),
     Message(Value),
 }
 
 /// A frame as received.
-pub struct Shown {
+pub struct PageFrame {
     pub header: Value,
     pub picture: Vec<u8>,
 }
 
-impl Shown {
+impl PageFrame {
     /// RGB bytes of the picture.
     pub fn rgb(&self) -> Vec<u8> {
         image::load_from_memory(&self.picture).expect("a picture").to_rgb8().into_raw()
@@ -160,17 +160,17 @@ impl Page {
         self.socket.send(Message::text(message.to_string())).expect("sent");
     }
 
-    pub fn hear(&mut self) -> Heard {
+    pub fn receive(&mut self) -> PageMessage {
         loop {
             match self.socket.read().expect("a message") {
                 Message::Binary(bytes) => {
                     let (length, rest) = bytes.split_at(4);
                     let length = u32::from_le_bytes(length.try_into().expect("4 bytes")) as usize;
                     let header = serde_json::from_slice(&rest[..length]).expect("a header");
-                    return Heard::Frame(Shown { header, picture: rest[length..].to_vec() });
+                    return PageMessage::Frame(PageFrame { header, picture: rest[length..].to_vec() });
                 }
                 Message::Text(text) => {
-                    return Heard::Message(serde_json::from_str(text.as_str()).expect("JSON"));
+                    return PageMessage::Message(serde_json::from_str(text.as_str()).expect("JSON"));
                 }
                 _ => {}
             }
@@ -180,7 +180,7 @@ impl Page {
     pub fn wait_for(&mut self, kind: &str) -> Value {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
-            if let Heard::Message(message) = self.hear() {
+            if let PageMessage::Message(message) = self.receive() {
                 if message["type"] == kind {
                     return message;
                 }
@@ -194,11 +194,11 @@ impl Page {
         self.wait_for("problem")["message"].as_str().expect("words").to_owned()
     }
 
-    pub fn frame(&mut self) -> Shown {
+    pub fn frame(&mut self) -> PageFrame {
         loop {
-            match self.hear() {
-                Heard::Frame(shown) => return shown,
-                Heard::Message(message) => assert_ne!(message["type"], "problem", "{message}"),
+            match self.receive() {
+                PageMessage::Frame(shown) => return shown,
+                PageMessage::Message(message) => assert_ne!(message["type"], "problem", "{message}"),
             }
         }
     }
@@ -212,7 +212,7 @@ impl Page {
         silent
     }
 
-    pub fn look(&mut self, camera: &Camera, look: &Value) -> Shown {
+    pub fn look(&mut self, camera: &Camera, look: &Value) -> PageFrame {
         self.send(&view(1, camera, look));
         let shown = self.frame();
         self.send(&json!({ "type": "ack" }));

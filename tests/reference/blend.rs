@@ -73,7 +73,7 @@ pub fn blend(list: &[&Splat], pixel: [u32; 2], background: [f64; 3]) -> Pixel {
 
 /// Auxiliary values of a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Beside {
+pub struct AuxiliaryValues {
     /// The largest weight; 0 for none.
     pub heaviest: f64,
     /// Σ α T m, px.
@@ -87,8 +87,8 @@ pub fn beside(
     list: &[&Splat],
     (motions, normals): (&[[f64; 2]], &[[f64; 3]]),
     pixel: [u32; 2],
-) -> (Beside, Vec<f64>) {
-    let (mut result, mut weights) = (Beside::default(), vec![0.0; list.len()]);
+) -> (AuxiliaryValues, Vec<f64>) {
+    let (mut result, mut weights) = (AuxiliaryValues::default(), vec![0.0; list.len()]);
     for sample in &samples(list, pixel).0 {
         let weight = sample.weight();
         weights[sample.entry] = weight;

@@ -29,10 +29,10 @@ pub fn unit(count: usize) -> f64 {
     f64::from((u32::MAX / count.max(1) as u32).min(1 << 24))
 }
 
-/// Weight of a Gaussian with this logit; 0 for opacities up to `least`.
-pub fn weight(logit: f64, unit: f64, least: f64) -> f64 {
+/// Weight of a Gaussian with this logit; 0 for opacities up to `min`.
+pub fn weight(logit: f64, unit: f64, min: f64) -> f64 {
     let opacity = sigmoid(logit);
-    if opacity > least { (opacity * unit).floor().max(1.0) } else { 0.0 }
+    if opacity > min { (opacity * unit).floor().max(1.0) } else { 0.0 }
 }
 
 /// Returns source and kind (0: kept, 1: copy) of each row, and the number of draws of each Gaussian. `bits` gives a

@@ -106,7 +106,7 @@ impl Exposures {
 pub type Rows = [[f64; 4]; 3];
 
 /// Below this value the response is a straight line.
-pub const LEAST: f64 = 1.0 / 1024.0;
+pub const MIN: f64 = 1.0 / 1024.0;
 
 /// Squared distances of the pixels from the principal point, row by row, in squares of half the diagonal. The first
 /// pixel's centre is 0.
@@ -126,7 +126,7 @@ pub fn vignetting(row: &[f64; 4], r2: f64) -> f64 {
 
 pub fn response(t: f64, log_gamma: f64) -> f64 {
     let gamma = log_gamma.exp();
-    if t > LEAST { t.powf(gamma) } else { t / LEAST * LEAST.powf(gamma) }
+    if t > MIN { t.powf(gamma) } else { t / MIN * MIN.powf(gamma) }
 }
 
 pub fn lens_effects(picture: &[[f64; 3]], rows: &Rows, r2: &[f64]) -> Vec<[f64; 3]> {
@@ -139,7 +139,7 @@ pub fn lens_effects(picture: &[[f64; 3]], rows: &Rows, r2: &[f64]) -> Vec<[f64; 
 /// True near the end of the straight line: the response has a corner there, and float32 kernels may take either
 /// side.
 pub fn has_corner(color: &[f64; 3], rows: &Rows, r2: f64) -> bool {
-    (0..3).any(|c| (color[c] * vignetting(&rows[c], r2) / LEAST - 1.0).abs() < 1e-4)
+    (0..3).any(|c| (color[c] * vignetting(&rows[c], r2) / MIN - 1.0).abs() < 1e-4)
 }
 
 /// Gradients of the picture and of the lens, from the gradient of the picture after the lens.
@@ -155,11 +155,11 @@ pub fn lens_backward(
         for c in 0..3 {
             let shade = vignetting(&rows[c], r2[pixel]);
             let (t, gamma) = (color[c] * shade, rows[c][3].exp());
-            let (by_t, by_gamma) = if t > LEAST {
+            let (by_t, by_gamma) = if t > MIN {
                 (gamma * t.powf(gamma - 1.0), t.powf(gamma) * t.ln())
             } else {
-                let slope = LEAST.powf(gamma - 1.0);
-                (slope, t * slope * LEAST.ln())
+                let slope = MIN.powf(gamma - 1.0);
+                (slope, t * slope * MIN.ln())
             };
             of_picture[pixel][c] = h[c] * by_t * shade;
             for k in 0..3 {

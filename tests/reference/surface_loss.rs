@@ -80,10 +80,11 @@ impl Surface {
         let z = depth_of(gaussian, view);
         let area = 2.0 * std::f64::consts::PI / (conic[0] * conic[2] - conic[1] * conic[1]).sqrt();
         let share = area * opacity.min(1.0) * (-distance(z, inverse_depth).powi(2)).exp();
-        let shortest = (0..3).fold(0, |least, k| match gaussian.log_scale[k] < gaussian.log_scale[least] {
-            true => k,
-            false => least,
-        });
+        let shortest =
+            (0..3).fold(0, |shortest, k| match gaussian.log_scale[k] < gaussian.log_scale[shortest] {
+                true => k,
+                false => shortest,
+            });
         Some(Surface { normal, inverse_depth, share, shortest, px_per_unit: view.focal_px[0] / z })
     }
 

@@ -44,11 +44,11 @@ pub struct View {
     /// Jacobian limits ±1.3 tan(fov/2), instead of the image edges plus 0.3 tan(fov/2).
     pub symmetric_limit: bool,
     pub extent: Extent,
-    pub drawn: Drawn,
+    pub drawn: Style,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Drawn {
+pub struct Style {
     /// Factor of the standard deviations.
     pub scale_modifier: f64,
     /// Added to both variances on the screen, px².
@@ -170,7 +170,7 @@ impl Limits {
     }
 }
 
-impl Drawn {
+impl Style {
     /// The projection as the kernels know it (PROJECTION_*).
     pub fn projection(&self) -> u32 {
         self.orthographic.into()
@@ -229,7 +229,7 @@ impl Drawn {
     }
 }
 
-/// Gaussians fainter than this are omitted if `Drawn::opacity` is negative.
+/// Gaussians fainter than this are omitted if `Style::opacity` is negative.
 pub const FAINT_OPACITY: f64 = 0.2_f32 as f64;
 
 impl View {

@@ -72,7 +72,7 @@ fn viewer_cuts_as_convert_does() {
 /// A tiny scene far from the origin looks like any other. The page gives its box in the coordinates of the file.
 #[test]
 fn viewer_cuts_distant_scenes_in_their_own_coordinates() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let frame = WorldFrame { origin: DVec3::new(500_000.0, 4_600_000.0, 100.0), unit: 0.01 };
     let options = WriteOptions { frame, ..WriteOptions::default() };
     splats::write(place.at("ball.ply"), &ball(COUNT), &options).expect("a PLY");

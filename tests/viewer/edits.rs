@@ -29,7 +29,7 @@ fn among(inside: impl Fn(Vec3) -> bool) -> Vec<usize> {
 }
 
 fn exported(server: &Server, query: &str) -> Gaussians {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let (code, _, body) = server.get(&format!("/export/part.ply{query}"), &[]);
     assert_eq!(code, 200, "{}", String::from_utf8_lossy(&body));
     place.write("part.ply", &body);

@@ -204,7 +204,7 @@ fn place_of(page: &Page, name: &str) -> usize {
 
 #[test]
 fn viewer_shows_views_as_they_were_photographed() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let light = "--exposure --exposure-lr-init=0.1 --lens-effects --lens-lr=0.05 --sh-degree=0";
     place.run(format!("train -s @data -m @model --eval --quiet --iterations=40 {light}")).ok();
     let server = Server::view(&place.at("model"), &[]);

@@ -127,9 +127,9 @@ fn viewer_behind_a_proxy_says_what_to_do_and_can_be_told() {
         let said = String::from_utf8(body).expect("text");
         assert!(code == expected && said.contains(word), "{headers:?}: {code} {said}");
     }
-    let (_, told) = server.end();
-    assert_eq!(told.matches("--allow-origin").count(), 1, "{told}");
-    assert!(told.contains(shown), "{told}");
+    let (_, output) = server.end();
+    assert_eq!(output.matches("--allow-origin").count(), 1, "{output}");
+    assert!(output.contains(shown), "{output}");
     let server = Server::view(&place.at("ball.ply"), &["--allow-origin", "https://Viewer.example:443/"]);
     assert_eq!([shown, evil].map(|origin| handshake(&server, origin)), [101, 403]);
     for (headers, expected) in [
@@ -160,7 +160,7 @@ fn viewer_is_told_what_is_up() {
 
 #[test]
 fn viewer_names_a_busy_port_and_the_options_of_its_command() {
-    let place = Place::new();
+    let place = TestFolder::new();
     write_ball(&place.at(""), 50);
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("its address").port().to_string();
@@ -178,13 +178,13 @@ fn viewer_names_a_busy_port_and_the_options_of_its_command() {
 /// The file is checked before the page's address is printed.
 #[test]
 fn viewer_of_a_missing_file_says_only_so() {
-    let run = Place::empty().run("view nosuch.ply --port 0").refused(&["nosuch.ply", "(os error 2)"]);
+    let run = TestFolder::empty().run("view nosuch.ply --port 0").refused(&["nosuch.ply", "(os error 2)"]);
     assert_eq!(run.stdout, "");
 }
 
 #[test]
 fn viewer_shows_a_data_set_and_its_photos() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let view = || Server::view(&place.at("data"), &[]);
     let server = view();
     let page = server.page();
@@ -214,7 +214,7 @@ fn viewer_shows_a_data_set_and_its_photos() {
 /// Smaller copies of the photos, as in the reference's data sets.
 #[test]
 fn viewer_takes_photos_from_the_folder_that_it_is_told() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.create_folder("data/images_2");
     for name in place.files("data/images") {
         let photo = place.picture(Path::new("data/images").join(&name));

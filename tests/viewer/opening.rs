@@ -7,13 +7,13 @@ pub const JSON: (&str, &str) = ("Content-Type", "application/json");
 
 /// A viewer that was started without a scene, in the folder `started`.
 struct Empty {
-    place: Place,
+    place: TestFolder,
     server: Server,
 }
 
 impl Empty {
     fn start(more: &[&str]) -> Empty {
-        let place = Place::empty();
+        let place = TestFolder::empty();
         place.create_folder("started");
         place.create_folder("room");
         let command = [&["view", "--port", "0", "-o", "films"], more].concat();
@@ -41,7 +41,7 @@ impl Empty {
 }
 
 fn bytes_of(count: usize, ending: &str) -> Vec<u8> {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     let name = format!("ball{ending}");
     splats::write(place.at(&name), &ball(count), &WriteOptions::default()).expect("written");
     place.read(name)
@@ -50,7 +50,7 @@ fn bytes_of(count: usize, ending: &str) -> Vec<u8> {
 impl Page {
     fn opened(&mut self) -> Result<Value, String> {
         loop {
-            let Heard::Message(message) = self.hear() else { continue };
+            let PageMessage::Message(message) = self.receive() else { continue };
             match (message["type"].as_str(), message["failed"].as_str()) {
                 (Some("scene"), _) => return Ok(message),
                 (Some("loading"), Some(failed)) => return Err(failed.to_owned()),
@@ -251,7 +251,7 @@ fn viewer_lets_nobody_open_who_may_not() {
 /// The page is served before the scene is read. An error in the scene ends the program with a message.
 #[test]
 fn viewer_ends_with_what_is_wrong_with_its_scene() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.write("bad.ply", "ply\nformat ascii 1.0\nend_header\n");
     let path = place.at("bad.ply");
     let (code, stderr) = Server::start(&["view", text(&path), "--port", "0"]).wait();
@@ -261,7 +261,7 @@ fn viewer_ends_with_what_is_wrong_with_its_scene() {
 /// A folder of scenes is listed, and its paths are completed; nothing outside the folder is.
 #[test]
 fn viewer_lists_a_folder_of_scenes() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     place.create_folder("scenes/more");
     for (name, count) in
         [("scenes/b.ply", 40), ("scenes/a.spz", 30), ("scenes/more/c.splat", 20), ("outside.ply", 10)]

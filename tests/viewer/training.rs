@@ -5,7 +5,7 @@ use std::process::Command;
 
 /// A training, usually without an end of its own.
 pub struct Training {
-    pub place: Place,
+    pub place: TestFolder,
     pub server: Server,
 }
 
@@ -17,7 +17,7 @@ impl Training {
 
     /// `more`: the number of iterations and other arguments.
     pub fn start(more: &str) -> Training {
-        let place = Place::new();
+        let place = TestFolder::new();
         let words =
             place.words(format!("train -s @data -m @model --eval --quiet --view=0 --iterations {more}"));
         let words: Vec<&str> = words.iter().map(String::as_str).collect();
@@ -74,7 +74,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     let mut request = view(1, &camera(0.0), &json!({}));
     request["follow"] = json!(true);
     page.send(&request);
-    let iteration = |shown: &Shown| shown.header["iteration"].as_u64().expect("an iteration");
+    let iteration = |shown: &PageFrame| shown.header["iteration"].as_u64().expect("an iteration");
     let first = iteration(&page.frame());
     page.send(&json!({ "type": "ack" }));
     let second = iteration(&page.frame());

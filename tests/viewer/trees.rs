@@ -8,10 +8,10 @@ use std::collections::BTreeSet;
 const COUNT: usize = 900;
 
 /// A tree of the ball as `tree`.
-fn with_tree() -> (Place, Tree) {
-    let place = Place::empty();
+fn with_tree() -> (TestFolder, Tree) {
+    let place = TestFolder::empty();
     let tree = place.at("tree");
-    let options = TileOptions { most: 60, packed: false };
+    let options = TileOptions { max_gaussians: 60, packed: false };
     // The error's value does not matter, as long as coarser tiles have larger ones.
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
     let scene = write_ball(&place.at(""), COUNT);
@@ -21,19 +21,19 @@ fn with_tree() -> (Place, Tree) {
 }
 
 /// Requests frames until no tile is missing. Returns the first and the last frame, and the messages.
-fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (Shown, Shown, BTreeSet<String>) {
+fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (PageFrame, PageFrame, BTreeSet<String>) {
     let (start, mut first, mut said) = (Instant::now(), None, BTreeSet::new());
     while start.elapsed() < PATIENCE {
         page.send(&view(1, camera, look));
         let shown = loop {
-            match page.hear() {
-                Heard::Frame(shown) => break shown,
-                Heard::Message(message) => said.extend(message["message"].as_str().map(str::to_owned)),
+            match page.receive() {
+                PageMessage::Frame(shown) => break shown,
+                PageMessage::Message(message) => said.extend(message["message"].as_str().map(str::to_owned)),
             }
         };
         page.send(&json!({ "type": "ack" }));
         if shown.header["tree"]["missing"] == 0 {
-            let first = first.unwrap_or(Shown { header: shown.header.clone(), picture: Vec::new() });
+            let first = first.unwrap_or(PageFrame { header: shown.header.clone(), picture: Vec::new() });
             return (first, shown, said);
         }
         first.get_or_insert(shown);
@@ -117,7 +117,7 @@ fn viewer_names_tiles_that_cannot_be_read() {
 
 #[test]
 fn viewer_refuses_what_is_no_tree() {
-    let place = Place::empty();
+    let place = TestFolder::empty();
     write_ball(&place.at(""), 50);
     place.run("view @ball.ply --budget 10 --port 0").refused(&["--budget", "folders of tiles"]);
 }

@@ -13,8 +13,8 @@ fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {
     let fits = scan_reduce::Spec::for_device(limits);
     let refused =
         |spec| Kernel::<scan_reduce::Interface>::new(common::context(), &spec).err().expect("refused");
-    let most = limits.max_workgroup_invocations.max(limits.max_workgroup_subgroups * limits.subgroup_size);
-    let error = refused(scan_reduce::Spec { workgroup_size: most * 2, ..fits });
+    let max = limits.max_workgroup_invocations.max(limits.max_workgroup_subgroups * limits.subgroup_size);
+    let error = refused(scan_reduce::Spec { workgroup_size: max * 2, ..fits });
     assert!(matches!(&error, Error::TooLarge { what, .. } if what.contains("scan/scan_reduce")), "{error}");
     let error = refused(scan_reduce::Spec { workgroup_size: fits.subgroup_size + 1, ..fits });
     assert!(error.to_string().contains("no multiple"), "{error}");
@@ -70,8 +70,8 @@ struct Fit<'a> {
 impl KernelVisitor for Fit<'_> {
     fn visit<K: KernelInterface>(&mut self) {
         let (spec, limits) = (K::spec_for(self.limits), self.limits);
-        let [shared, most] = [K::shared_bytes(&spec), limits.shared_memory_bytes];
-        assert!(shared <= most, "{}, subgroups of {}: {shared} bytes", K::NAME, limits.subgroup_size);
+        let [shared, max] = [K::shared_bytes(&spec), limits.shared_memory_bytes];
+        assert!(shared <= max, "{}, subgroups of {}: {shared} bytes", K::NAME, limits.subgroup_size);
         assert!(K::FORMS[0].push_bytes <= limits.push_constant_bytes, "{}", K::NAME);
         self.largest = self.largest.max(shared);
     }
@@ -80,13 +80,13 @@ impl KernelVisitor for Fit<'_> {
 /// The required limits suffice for every kernel, even if a vec3 of shared memory takes 16 bytes.
 #[test]
 fn kernels_fit_into_what_is_asked_of_devices() {
-    let least = |name: &str| {
-        let (_, least) = Context::requirements().limits.into_iter().find(|(n, _)| *n == name).expect(name);
-        Some(u32::try_from(least).expect("a u32"))
+    let required = |name: &str| {
+        let (_, required) = Context::requirements().limits.into_iter().find(|(n, _)| *n == name).expect(name);
+        Some(u32::try_from(required).expect("a u32"))
     };
     let lowered = LimitsOverride {
-        shared_memory_bytes: least("maxComputeSharedMemorySize"),
-        push_constant_bytes: least("maxPushConstantsSize"),
+        shared_memory_bytes: required("maxComputeSharedMemorySize"),
+        push_constant_bytes: required("maxPushConstantsSize"),
         ..LimitsOverride::default()
     };
     for lanes in [4, 8, 16, 32, 64, 128] {

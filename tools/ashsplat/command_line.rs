@@ -88,13 +88,13 @@ pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitC
             Err(match output::check_stdout() {
                 Ok(()) => ExitCode::SUCCESS,
                 Err(error) => {
-                    tell!("error: {}", crate::one_line(&error.to_string()));
+                    errln!("error: {}", crate::one_line(&error.to_string()));
                     ExitCode::from(crate::FAILURE)
                 }
             })
         }
         Err(error) => {
-            tell!("{}", summary(&error));
+            errln!("{}", summary(&error));
             Err(ExitCode::from(crate::FAILURE))
         }
     }
@@ -198,19 +198,19 @@ mod tests {
 
     #[test]
     fn slips_are_told_what_was_meant() {
-        let said = |arguments: &[&str]| {
+        let error = |arguments: &[&str]| {
             let words = std::iter::once(&"ashsplat").chain(arguments);
             summary(&CommandLine::try_parse_from(words).err().expect("a slip"))
         };
-        assert!(said(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
-        assert!(said(&["trian"]).ends_with("did you mean 'train'? see --help"), "{}", said(&["trian"]));
-        assert!(said(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
-        assert!(said(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
-        let early = said(&["--iteration", "100"]);
+        assert!(error(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
+        assert!(error(&["trian"]).ends_with("did you mean 'train'? see --help"), "{}", error(&["trian"]));
+        assert!(error(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
+        assert!(error(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
+        let early = error(&["--iteration", "100"]);
         assert!(early.contains("`render`") && !early.contains("--version"), "{early}");
-        let early = said(&["--iterations", "100"]);
+        let early = error(&["--iterations", "100"]);
         assert!(early.contains("`train`") && early.contains("after the command"), "{early}");
-        assert!(said(&["--xyzzy"]).ends_with("found; see --help"), "{}", said(&["--xyzzy"]));
-        assert!(said(&["--versoin"]).contains("did you mean '--version'?"), "{}", said(&["--versoin"]));
+        assert!(error(&["--xyzzy"]).ends_with("found; see --help"), "{}", error(&["--xyzzy"]));
+        assert!(error(&["--versoin"]).contains("did you mean '--version'?"), "{}", error(&["--versoin"]));
     }
 }

@@ -58,7 +58,7 @@ pub struct Arguments {
 
 /// Input, output and moves as given.
 #[derive(Args)]
-struct Given {
+struct InputArguments {
     /// Files of Gaussians or model folders, and the new file, whose extension says the format
     #[arg(value_name = "IN... OUT", required = true)]
     paths: Vec<PathBuf>,
@@ -94,31 +94,31 @@ struct Inputs {
 
 impl Args for Inputs {
     fn augment_args(command: clap::Command) -> clap::Command {
-        Given::augment_args(command)
+        InputArguments::augment_args(command)
     }
 
     fn augment_args_for_update(command: clap::Command) -> clap::Command {
-        Given::augment_args_for_update(command)
+        InputArguments::augment_args_for_update(command)
     }
 }
 
 impl FromArgMatches for Inputs {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let given = Given::from_arg_matches(matches)?;
+        let arguments = InputArguments::from_arg_matches(matches)?;
         let places = |name: &str| matches.indices_of(name).into_iter().flatten();
-        let mut paths: Vec<(usize, PathBuf)> = places("paths").zip(given.paths).collect();
+        let mut paths: Vec<(usize, PathBuf)> = places("paths").zip(arguments.paths).collect();
         let refused = |text: String| clap::Error::raw(clap::error::ErrorKind::ValueValidation, text + "\n");
         let last = paths.last().map_or(0, |last| last.0);
-        let (place, output) = match given.out {
+        let (place, output) = match arguments.out {
             // An --out before an input does not mark the end of the inputs.
             Some(out) => (places("out").next().filter(|at| *at > last).unwrap_or(usize::MAX), out),
             None if paths.len() > 1 => paths.remove(paths.len() - 1),
             None if matches.get_flag("list") => (0, PathBuf::new()),
             None => return Err(refused("OUT is missing: give the new file after the input".into())),
         };
-        let rotate = places("rotate").zip(given.rotate.into_iter().map(Step::Rotate));
-        let scale = places("scale").zip(given.scale.into_iter().map(Step::Scale));
-        let translate = places("translate").zip(given.translate.into_iter().map(Step::Translate));
+        let rotate = places("rotate").zip(arguments.rotate.into_iter().map(Step::Rotate));
+        let scale = places("scale").zip(arguments.scale.into_iter().map(Step::Scale));
+        let translate = places("translate").zip(arguments.translate.into_iter().map(Step::Translate));
         let mut steps: Vec<(usize, Step)> = rotate.chain(scale).chain(translate).collect();
         let of = |steps: Vec<Step>| similarity(&steps).map_err(refused);
         let everything = steps.extract_if(.., |(at, _)| *at > place || paths.len() == 1);
@@ -175,7 +175,7 @@ fn parse_point(text: &str) -> Result<DVec3, String> {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.list {
-        Format::ALL.iter().for_each(|format| say!("{}", format.description()));
+        Format::ALL.iter().for_each(|format| outln!("{}", format.description()));
         return Ok(());
     }
     let options = arguments.options()?;
@@ -200,7 +200,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .collect();
     let done = splats::join(&inputs, output, &options)?;
     for warning in &done.warnings {
-        tell!("warning: {warning}");
+        errln!("warning: {warning}");
     }
     if !arguments.quiet {
         let described = |(file, input): (&PathBuf, &Header)| {
@@ -208,7 +208,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             format!("{} ({}, {count} Gaussians, SH degree {degree})", file.display(), input.format)
         };
         let from: Vec<String> = files.iter().zip(&done.inputs).map(described).collect();
-        say!(
+        outln!(
             "{} -> {} ({}, {} Gaussians, SH degree {}){}{}",
             from.join(" + "),
             output.display(),

@@ -4,7 +4,7 @@ mod dataset;
 mod lens;
 mod sheet;
 
-use crate::train::{Run, describe_start, say_what_next};
+use crate::train::{Run, describe_start, print_next_steps};
 use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
 use ashsplat_program::args::DeviceArguments;
@@ -57,7 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let write = || dataset::write(&data, &arguments.choices, u64::from(arguments.seed), arguments.quiet);
     if arguments.dataset_only {
         write()?;
-        say!("data set        {}", data.display());
+        outln!("data set        {}", data.display());
         return Ok(());
     }
     // Opens the device first: without one, nothing should be written.
@@ -70,7 +70,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&settings.data, &options, &stop)?;
     let loaded = session::load(&gallery, arguments.quiet, &stop)?;
     if !arguments.quiet {
-        tell!("{}", describe_start(&loaded, &context));
+        errln!("{}", describe_start(&loaded, &context));
     }
     let model = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, loaded, settings, arguments.quiet)?;
@@ -79,11 +79,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if !interrupted {
         write_sheet(&mut run, &folder.join(SHEET_FILE))?;
         run.report();
-        say!("data set        {}", data.display());
-        say!("PLY             {}", point_cloud_path(&model, arguments.iterations).display());
-        say!("contact sheet   {}", folder.join(SHEET_FILE).display());
-        say_what_next(&model, true);
-        say!("total           {:.1} s", start.elapsed().as_secs_f64());
+        outln!("data set        {}", data.display());
+        outln!("PLY             {}", point_cloud_path(&model, arguments.iterations).display());
+        outln!("contact sheet   {}", folder.join(SHEET_FILE).display());
+        print_next_steps(&model, true);
+        outln!("total           {:.1} s", start.elapsed().as_secs_f64());
     }
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }

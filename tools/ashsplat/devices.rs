@@ -20,13 +20,13 @@ const MEASURED_BYTES: u64 = 64 << 20;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.requirements {
-        vk::Context::requirements().to_string().lines().for_each(|line| say!("{line}"));
+        vk::Context::requirements().to_string().lines().for_each(|line| outln!("{line}"));
         return Ok(());
     }
     for device in vk::devices()? {
         print(&device);
         if arguments.measure && device.problem.is_none() {
-            measure(&device).unwrap_or_else(|error| say!("   cannot be measured: {error}"));
+            measure(&device).unwrap_or_else(|error| outln!("   cannot be measured: {error}"));
         }
     }
     Ok(())
@@ -42,11 +42,11 @@ fn measure(device: &DeviceDescription) -> Result<()> {
         (false, true) => "copied by a queue of their own",
         (false, false) => "copied",
     };
-    say!(
+    outln!(
         "   uploads         {to}; downloads are {}",
         if ways.reads_directly { "read directly" } else { "copied" }
     );
-    say!(
+    outln!(
         "   GB/s            {:>11} {:>11} {:>11} {:>11}",
         "host writes",
         "host reads",
@@ -60,29 +60,32 @@ fn measure(device: &DeviceDescription) -> Result<()> {
             [of.write, of.read, of.to_device, of.from_device].map(|rate| rate * 1e-9);
         let arenas = if of.holds_arenas { "  uploads write here" } else { "" };
         let name = format!("{place}{cached}");
-        say!("   {:<2} {name:12} {write:>11.2} {read:>11.2} {to:>11.2} {from:>11.2}{arenas}", of.memory_type);
+        outln!(
+            "   {:<2} {name:12} {write:>11.2} {read:>11.2} {to:>11.2} {from:>11.2}{arenas}",
+            of.memory_type
+        );
     }
     Ok(())
 }
 
 fn print(device: &DeviceDescription) {
-    say!("{}: {} ({})", device.index, device.name, device.kind);
-    say!("   driver          {}, Vulkan {}", device.driver, device.api_version);
+    outln!("{}: {} ({})", device.index, device.name, device.kind);
+    outln!("   driver          {}, Vulkan {}", device.driver, device.api_version);
     if let Some(limits) = &device.limits {
         let mib = |bytes: u64| format!("{} MiB", bytes >> 20);
-        say!(
+        outln!(
             "   subgroups       {} invocations ({} to {})",
             limits.subgroup_size,
             limits.min_subgroup_size,
             limits.max_subgroup_size
         );
-        say!(
+        outln!(
             "   workgroups      {} invocations, {} KiB shared memory, {} per axis",
             limits.max_workgroup_invocations,
             limits.shared_memory_bytes >> 10,
             limits.max_workgroups_per_axis
         );
-        say!(
+        outln!(
             "   memory          {} heap, {} per allocation, {} per binding",
             mib(limits.heap_bytes),
             mib(limits.max_allocation_bytes),
@@ -90,7 +93,7 @@ fn print(device: &DeviceDescription) {
         );
     }
     match &device.problem {
-        Some(problem) => say!("   cannot be used: {problem}"),
-        None => say!("   usable"),
+        Some(problem) => outln!("   cannot be used: {problem}"),
+        None => outln!("   usable"),
     }
 }

@@ -8,7 +8,7 @@ pub fn explain() -> bool {
     if !is_from_explorer().unwrap_or(false) {
         return false;
     }
-    say!(
+    outln!(
         "ashsplat runs in a terminal. Open one in this folder: right-click beside the files, \"Open in Terminal\". Then type\n\n\
          .\\ashsplat demo      to make a small data set, train on it and see the result\n\
          .\\ashsplat --help    for all commands\n\nPress Enter to close this window."

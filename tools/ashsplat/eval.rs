@@ -8,8 +8,8 @@ use ashsplat_program::appearance::Appearances;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Split};
 use ashsplat_program::eval::{
-    Evaluation, More, Perceptual, Protocol, SceneSize, ViewResult, alignment_of, at_its_place, by_name,
-    check_sizes, evaluate, read_weights, write_results,
+    Evaluation, ExtraMeasures, LpipsNetworks, Protocol, SceneSize, ViewResult, alignment_of, at_its_place,
+    by_name, check_sizes, evaluate, read_weights, write_results,
 };
 use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
 use ashsplat_program::model::{Model, ModelArguments};
@@ -86,12 +86,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
     let guessed = model.folder.is_none() && arguments.eval_split.is_none() && !gallery.has_split();
     if guessed && !arguments.all && chosen.first() != Some(&0) {
-        tell!(
+        errln!(
             "warning: measured on inner views, as this program holds them out of few; were they trained on, give --eval-split reference"
         );
     }
     if data.eval && !arguments.all && model.folder.is_some() && !model.settings.data.eval {
-        tell!("warning: the model was trained on all views, so also on those that are measured");
+        errln!("warning: the model was trained on all views, so also on those that are measured");
     }
     let protocol = protocol(&model, &gallery)?;
     check_sizes(&weights, &gallery, &chosen, !protocol.halves.is_empty())?;
@@ -114,9 +114,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Ok(()) => Some(gallery.view(index)?.map(|view| at_its_place(view, &moved, lens_opt))),
         Err(interrupted) => Some(Err(interrupted)),
     };
-    let mut lpips = Perceptual::new(&context, &weights)?;
+    let mut lpips = LpipsNetworks::new(&context, &weights)?;
     let views = chosen.iter().filter_map(view).inspect(|_| bar.inc(1));
-    let more = More { lpips: lpips.as_mut(), frame_times: true, ..Default::default() };
+    let more = ExtraMeasures { lpips: lpips.as_mut(), frame_times: true, ..Default::default() };
     let mut shows_any = false;
     let mut evaluation = evaluate(views, &protocol, more, |camera| {
         let frame = renderer.render(camera, &settings)?;
@@ -124,9 +124,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Ok(frame)
     })?;
     if !shows_any && !evaluation.views.is_empty() {
-        tell!("warning: {}", NOTHING_SHOWN);
+        errln!("warning: {}", NOTHING_SHOWN);
     } else if evaluation.psnr() < UNLIKE_DB {
-        tell!(
+        errln!(
             "warning: the pictures have hardly anything in common with the photos: is the scene in the coordinates of this data set?"
         );
     }
@@ -146,7 +146,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         });
         let aligned = aligned.inspect(|_| bar.inc(1));
         let draw = |camera: &Camera| renderer.borrow_mut().render(camera, &settings);
-        evaluation.aligned = Some(Box::new(evaluate(aligned, &protocol, More::default(), draw)?));
+        evaluation.aligned = Some(Box::new(evaluate(aligned, &protocol, ExtraMeasures::default(), draw)?));
     }
     bar.finish_and_clear();
     evaluation.scene = Some(SceneSize { gaussians: scene.gaussians.len() as u64, bytes });
@@ -195,21 +195,21 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
             "aligned_views": evaluation.aligned.as_deref().map(json_of),
             "views": json_of(evaluation),
         });
-        say!("{value:#}");
+        outln!("{value:#}");
         return;
     }
     let columns = |values: &mut dyn Iterator<Item = (&str, String)>| -> String {
         values.map(|(name, value)| format!(" {value:>0$}", name.len().max(8))).collect()
     };
     let heads = columns(&mut evaluation.measures.iter().map(|name| (*name, (*name).to_owned())));
-    say!("{:<28} {:>8} {:>8} {:>8}{heads}", "view", "PSNR", "SSIM", "CC-PSNR");
+    outln!("{:<28} {:>8} {:>8} {:>8}{heads}", "view", "PSNR", "SSIM", "CC-PSNR");
     for view in &evaluation.views {
         let named = evaluation.measures.iter().zip(&view.lpips);
         let lpips = columns(&mut named.map(|(name, value)| (*name, format!("{value:.4}"))));
-        say!("{:<28} {:>8.3} {:>8.4} {:>8.3}{lpips}", view.name, view.psnr, view.ssim, view.cc_psnr);
+        outln!("{:<28} {:>8.3} {:>8.4} {:>8.3}{lpips}", view.name, view.psnr, view.ssim, view.cc_psnr);
     }
     if evaluation.views.is_empty() {
-        say!("no view was measured");
+        outln!("no view was measured");
         return;
     }
     let mean = format!("mean of {}", evaluation.views.len());
@@ -217,18 +217,18 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
     let row = |name: &str, of: &Evaluation| {
         format!("{name:<28} {:>8.3} {:>8.4} {:>8.3}", of.psnr(), of.ssim(), of.cc_psnr())
     };
-    say!("{}{lpips}", row(&mean, evaluation));
+    outln!("{}{lpips}", row(&mean, evaluation));
     if let Some(aligned) = &evaluation.aligned {
-        say!("{}", row("  with cameras aligned", aligned));
+        outln!("{}", row("  with cameras aligned", aligned));
     }
-    say!("CC-PSNR: colour-corrected, by an affine map of each picture's colours to its photo");
+    outln!("CC-PSNR: colour-corrected, by an affine map of each picture's colours to its photo");
     if let Some(SceneSize { gaussians, bytes }) = scene {
         let file = bytes.map_or_else(String::new, |bytes| format!(", {:.2} MB", bytes as f64 * 1e-6));
         let time = evaluation.frame_ms().unwrap_or(f64::NAN);
-        say!("{} Gaussians{file}, {time:.2} ms per frame on {device}", thousands(gaussians));
+        outln!("{} Gaussians{file}, {time:.2} ms per frame on {device}", thousands(gaussians));
     }
     if evaluation.measures.is_empty() {
-        say!("LPIPS is not measured: it needs the weights of a network (--lpips-weights FILE)");
+        outln!("LPIPS is not measured: it needs the weights of a network (--lpips-weights FILE)");
     }
 }
 

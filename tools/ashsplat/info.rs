@@ -74,20 +74,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = splats::read(&model.ply, &arguments.host.reading(arguments.drop_invalid))?;
     let summary = Summary::of(&scene.gaussians, &scene.frame);
     if arguments.json {
-        say!("{:#}", summary.json(&model.ply, &scene));
+        outln!("{:#}", summary.json(&model.ply, &scene));
         return Ok(());
     }
-    say!("file       {}", model.ply.display());
+    outln!("file       {}", model.ply.display());
     let antialiased = if scene.header.antialiased { ", trained with antialiasing" } else { "" };
     let kernel = scene.header.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
     let order = if scene.header.distance_order { ", ordered by distance" } else { "" };
-    say!("format     {}{antialiased}{kernel}{order}", scene.header.format);
+    outln!("format     {}{antialiased}{kernel}{order}", scene.header.format);
     summary.print();
     if scene.dropped > 0 {
-        say!("dropped    {} that are not finite", thousands(scene.dropped));
+        outln!("dropped    {} that are not finite", thousands(scene.dropped));
     }
     for warning in scene.warnings {
-        say!("warning    {warning}");
+        outln!("warning    {warning}");
     }
     Ok(())
 }
@@ -109,9 +109,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
     });
     session::check(&stop)?;
     let fitting = match arguments.max_memory {
-        Some(most) if report.is_sound() => {
+        Some(budget) if report.is_sound() => {
             let data = DataSettings { source_path: arguments.path.clone(), ..data };
-            Some((most, fitting(&session::open(&data, &options, &stop)?, most)?))
+            Some((budget, fitting(&session::open(&data, &options, &stop)?, budget)?))
         }
         _ => None,
     };
@@ -119,21 +119,21 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         let mut all = dataset_json(&report);
         if let Some((_, fitting)) = &fitting {
             all["most_gaussians"] =
-                fitting.iter().map(|&(storage, most, _)| (storage.to_string(), json!(most))).collect();
+                fitting.iter().map(|&(storage, budget, _)| (storage.to_string(), json!(budget))).collect();
         }
-        say!("{all:#}");
+        outln!("{all:#}");
     } else if report.model.is_some() {
-        say!("{}", report.to_string().trim_end());
+        outln!("{}", report.to_string().trim_end());
     }
     match report.problems.as_slice() {
         [] => {
             if !arguments.json {
-                if let Some((most, fitting)) = fitting {
+                if let Some((budget, fitting)) = fitting {
                     for (storage, gaussians, is_bound) in fitting {
                         let bound = if is_bound { " (its buffers hold no more)" } else { "" };
-                        let (most, gaussians) = (size(most), thousands(gaussians.into()));
-                        say!(
-                            "memory    training in {most} can begin with {gaussians} Gaussians: {storage}{bound}"
+                        let (budget, gaussians) = (size(budget), thousands(gaussians.into()));
+                        outln!(
+                            "memory    training in {budget} can begin with {gaussians} Gaussians: {storage}{bound}"
                         );
                     }
                 }
@@ -162,7 +162,7 @@ fn dataset(arguments: &Arguments) -> Result<()> {
                 if arguments.alpha != "target" {
                     command += &format!(" --alpha {}", arguments.alpha);
                 }
-                say!("next      it can be trained on: {command}");
+                outln!("next      it can be trained on: {command}");
             }
             Ok(())
         }
@@ -173,8 +173,8 @@ fn dataset(arguments: &Arguments) -> Result<()> {
 
 /// Storages of a training, and the most Gaussians that it can begin with in this much device memory; true if the device's buffers
 /// hold no more.
-fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32, bool); 3]> {
-    let context = Context::new(&ContextOptions { max_memory: Some(most), ..ContextOptions::default() })?;
+fn fitting(gallery: &Gallery, budget: u64) -> Result<[(&'static str, u32, bool); 3]> {
+    let context = Context::new(&ContextOptions { max_memory: Some(budget), ..ContextOptions::default() })?;
     let usual = TrainSettings::default();
     let settings = [
         ("default", usual.clone()),
@@ -196,7 +196,7 @@ fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32, bool); 3
             frozen: 0,
             capacities: None,
         };
-        let gaussians = forecast.most_gaussians(&context)?;
+        let gaussians = forecast.max_gaussians(&context)?;
         *found = (storage, gaussians, gaussians == in_buffers);
     }
     Ok(found)
@@ -261,20 +261,20 @@ impl Summary {
     }
 
     fn print(&self) {
-        say!("Gaussians  {}", thousands(self.count as u64));
-        say!("SH degree  {}", self.sh_degree);
+        outln!("Gaussians  {}", thousands(self.count as u64));
+        outln!("SH degree  {}", self.sh_degree);
         for (name, bounds) in [("extent", self.bounds), ("central", self.central)] {
             if let Some([min, max]) = bounds {
                 // Keeps three digits of lengths below one unit.
                 let digits = (2.0 - (max - min).max_element().log10().floor()).clamp(3.0, 12.0) as usize;
-                say!("{name:<10} from {min:.digits$} to {max:.digits$}");
+                outln!("{name:<10} from {min:.digits$} to {max:.digits$}");
             }
         }
-        say!("largest scale (the file's units)");
+        outln!("largest scale (the file's units)");
         self.scales.print(|edge| format!("{:.2e}", 10f32.powf(edge)));
-        say!("opacity");
+        outln!("opacity");
         self.opacities.print(|edge| format!("{edge:.2}"));
-        say!("density: opacity / (1 - opacity) / largest scale (floaters have the least)");
+        outln!("density: opacity / (1 - opacity) / largest scale (floaters have the least)");
         self.densities.print(|edge| format!("{:.2e}", 10f32.powf(edge)));
     }
 
@@ -330,11 +330,11 @@ impl Histogram {
     }
 
     fn print(&self, label: impl Fn(f32) -> String) {
-        let most = self.counts.iter().copied().max().unwrap_or(0).max(1);
+        let max = self.counts.iter().copied().max().unwrap_or(0).max(1);
         for (row, &count) in self.counts.iter().enumerate() {
-            let bar = "#".repeat((count * BAR).div_ceil(most));
+            let bar = "#".repeat((count * BAR).div_ceil(max));
             let (from, to) = (label(self.edge(row)), label(self.edge(row + 1)));
-            say!("  {from:>9} to {to:>9} {:>10} {bar}", thousands(count as u64));
+            outln!("  {from:>9} to {to:>9} {:>10} {bar}", thousands(count as u64));
         }
     }
 

@@ -93,9 +93,9 @@ impl Arguments {
 }
 
 fn print_table(report: &PixelReport) {
-    say!("{:>4} {:>9} {:>10} {:>8} {:>8} {:>8}  colour", "rank", "id", "depth", "alpha", "weight", "left");
+    outln!("{:>4} {:>9} {:>10} {:>8} {:>8} {:>8}  colour", "rank", "id", "depth", "alpha", "weight", "left");
     for (rank, sample) in report.samples.iter().enumerate() {
-        say!(
+        outln!(
             "{rank:>4} {:>9} {:>10.4} {:>8.5} {:>8.5} {:>8.5}  {}",
             sample.gaussian,
             sample.depth,
@@ -105,7 +105,7 @@ fn print_table(report: &PixelReport) {
             triple(sample.color),
         );
     }
-    say!("final colour {}, transmittance {:.5}", triple(report.color), report.transmittance);
+    outln!("final colour {}, transmittance {:.5}", triple(report.color), report.transmittance);
 }
 
 fn triple(color: [f32; 3]) -> String {
@@ -115,5 +115,8 @@ fn triple(color: [f32; 3]) -> String {
 
 fn print_json(report: &PixelReport) {
     let samples = output::samples(report);
-    say!("{:#}", json!({ "samples": samples, "color": report.color, "transmittance": report.transmittance }));
+    outln!(
+        "{:#}",
+        json!({ "samples": samples, "color": report.color, "transmittance": report.transmittance })
+    );
 }

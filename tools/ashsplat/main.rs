@@ -43,7 +43,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(Error::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(error) => {
-            tell!("error: {}", one_line(&error.to_string()));
+            errln!("error: {}", one_line(&error.to_string()));
             ExitCode::from(FAILURE)
         }
     }
@@ -56,7 +56,7 @@ fn survive_file_limits() {
         // The handler only notes the signal; the system call returns the error.
         let came = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
         if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, came) {
-            tell!("warning: {error}: a file beyond `ulimit -f` will end the program");
+            errln!("warning: {error}: a file beyond `ulimit -f` will end the program");
         }
     }
 }

@@ -43,7 +43,7 @@ pub struct Arguments {
 }
 
 /// Least number of views that must show a voxel, from few and from many: surfaces that fewer views show are mostly floaters.
-const LEAST_VIEWS: [u32; 2] = [3, 6];
+const MIN_VIEWS: [u32; 2] = [3, 6];
 /// A connected part is left out if its triangles are fewer than those of the mesh divided by this.
 const SMALLEST_PART: usize = 1000;
 
@@ -67,16 +67,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&model.ply, "has no view through a pinhole", remedy));
     }
     if !others.is_empty() {
-        tell!("warning: {} views through lenses or with parallel rays are left out", others.len());
+        errln!("warning: {} views through lenses or with parallel rays are left out", others.len());
     }
-    let [few, many] = LEAST_VIEWS;
+    let [few, many] = MIN_VIEWS;
     let least_views = (cameras.len() as u32 / 5).clamp(few, many);
     if cameras.len() < few as usize {
         let problem = format!("{} views are too few, a mesh takes {few}", cameras.len());
         return Err(Error::input(&model.ply, problem, "give more: --path FILE or --orbit N"));
     }
     if let (Some(note), false) = (&views.note, arguments.quiet) {
-        say!("{note}");
+        outln!("{note}");
     }
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { surface: Some(SurfaceDepth::Front), ..look };
@@ -141,7 +141,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let [vertices, triangles] =
             [mesh.positions.len(), mesh.triangles.len()].map(|count| thousands(count as u64));
         let (out, size) = (arguments.out.display(), significant(voxel * unit));
-        say!(
+        outln!(
             "{out}: {triangles} triangles, {vertices} vertices, voxels of {size}, {removed} small parts removed"
         );
     }

@@ -5,7 +5,7 @@ mod colmap;
 mod sharpness;
 mod source;
 mod video;
-mod work;
+mod workspace;
 
 use ashsplat::scene::COLMAP_MODELS;
 use ashsplat::{Error, Result};
@@ -14,17 +14,17 @@ use ashsplat_files::{Photo, PhotoFileFormat, quoted};
 use ashsplat_program::args::HostArguments;
 use ashsplat_program::progress::{clock, counting_in, thousands};
 use ashsplat_program::session;
-use cameras::{Cameras, Found};
+use cameras::{Cameras, Reconstruction};
 use clap::Args;
 use colmap::{Colmap, Matcher};
 use rayon::prelude::*;
-use source::{Look, Photos, Source};
+use source::{PhotoInfo, Photos, Source};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
-use video::{Reader, Video, Wanted};
-use work::Work;
+use video::{FrameRequest, Reader, Video};
+use workspace::Workspace;
 
 /// Find the cameras of photographs or of a video: a data set for `ashsplat train`.
 ///
@@ -76,13 +76,13 @@ pub struct Arguments {
 }
 
 /// Least number of photographs for a scene.
-const LEAST_PHOTOS: usize = 3;
+const MIN_PHOTOS: usize = 3;
 /// Largest number of damaged photographs that are named.
-const MOST_NAMED: usize = 10;
+const MAX_REPORTED: usize = 10;
 /// Largest number of photographs that are all compared with each other, without and with a GPU.
 const EXHAUSTIVE: [usize; 2] = [60, 200];
 /// Largest number of names in a message.
-const NAMED: usize = 5;
+const LISTED: usize = 5;
 
 fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
@@ -105,9 +105,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ));
     }
     let dataset = source.dataset();
-    if let Some(work) = Work::ready(dataset)? {
-        work.place()?;
-        say!(
+    if let Some(workspace) = Workspace::ready(dataset)? {
+        workspace.place()?;
+        outln!(
             "{}: is complete now: an earlier run was killed while it moved the files there",
             dataset.display()
         );
@@ -116,61 +116,61 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let colmap = Colmap::find(&arguments.colmap)?;
     let stop = session::stop_on_ctrl_c()?;
     let linked = !matches!(&source, Source::Photos(photos) if photos.in_place);
-    Work::check(dataset, linked)?;
+    Workspace::check(dataset, linked)?;
     let prepared = arguments.prepare(&source, &stop)?;
-    arguments.tell(&format!("{}; the data set is {}", prepared.said, dataset.display()));
-    let mut work = Work::open(dataset)?;
+    arguments.note(&format!("{}; the data set is {}", prepared.summary, dataset.display()));
+    let mut workspace = Workspace::open(dataset)?;
     let gpu = colmap.cuda && !arguments.no_gpu;
-    let found = arguments.photographs(prepared.kind, &mut work, &stop).and_then(|(photos, looks)| {
+    let found = arguments.photographs(prepared.kind, &mut workspace, &stop).and_then(|(photos, infos)| {
         let cameras =
-            Cameras { arguments, colmap: &colmap, stop: &stop, photos: &photos, looks: &looks, gpu };
-        let found = cameras.find(&mut work)?;
+            Cameras { arguments, colmap: &colmap, stop: &stop, photos: &photos, infos: &infos, gpu };
+        let found = cameras.find(&mut workspace)?;
         Ok((photos, found))
     });
     let (photos, found) = match found {
         Ok(found) => found,
-        Err(error) => return Err(arguments.leave(work, error)),
+        Err(error) => return Err(arguments.leave(workspace, error)),
     };
-    let images = match (photos.in_place, photos.is_ours) {
+    let images = match (photos.in_place, photos.is_extracted) {
         (true, _) => None,
         (false, true) => Some(photos.folder.clone()),
-        (false, false) => Some(arguments.link(&photos, &work)?),
+        (false, false) => Some(arguments.link(&photos, &workspace)?),
     };
-    work.finish(&found.model, images.as_deref())?;
+    workspace.finish(&found.model, images.as_deref())?;
     arguments.report(&photos, &found, dataset, start.elapsed().as_secs_f64());
     Ok(())
 }
 
 /// Photographs whose cameras are to be found.
-struct Prints {
+struct PhotoFiles {
     folder: PathBuf,
     names: Vec<String>,
     in_place: bool,
     /// True for frames of a video, in the folder of the unfinished work.
-    is_ours: bool,
+    is_extracted: bool,
     video: bool,
 }
 
 /// The source after the checks that precede any writing.
 struct Prepared<'a> {
     kind: Kind<'a>,
-    said: String,
+    summary: String,
 }
 
 enum Kind<'a> {
     /// Photographs, with the names of the undamaged ones.
-    Photos(&'a Photos, Vec<String>, Vec<Look>),
+    Photos(&'a Photos, Vec<String>, Vec<PhotoInfo>),
     Video(&'a Path, Video, usize),
 }
 
 impl Arguments {
     fn reader<'a>(&'a self, path: &'a Path, stop: &'a AtomicBool) -> Reader<'a> {
-        Reader { program: &self.ffmpeg, path, most_bytes: self.host.memory().limit(), stop }
+        Reader { program: &self.ffmpeg, path, max_bytes: self.host.memory().limit(), stop }
     }
 
-    fn tell(&self, text: &str) {
+    fn note(&self, text: &str) {
         if !self.quiet {
-            tell!("{text}");
+            errln!("{text}");
         }
     }
 
@@ -191,18 +191,18 @@ impl Arguments {
         match source {
             Source::Photos(photos) => {
                 let (count, folder) = (photos.names.len(), photos.folder.display());
-                if count < LEAST_PHOTOS {
+                if count < MIN_PHOTOS {
                     let photographs = if count == 1 { "photograph" } else { "photographs" };
                     let problem = format!("has {count} {photographs}, too few to find their cameras");
                     let remedy = "take 20 or more, from all around, each overlapping the next by two thirds";
                     return Err(Error::input(&photos.folder, problem, remedy));
                 }
-                let (names, looks) = self.looks(photos, stop)?;
+                let (names, infos) = self.infos(photos, stop)?;
                 let count = names.len();
                 if let Some((others, one)) = &photos.others {
                     let they =
                         if *others == 1 { "1 picture is".into() } else { format!("{others} pictures are") };
-                    tell!(
+                    errln!(
                         "warning: {folder}: {they} left out, {one} for example: only JPEG and PNG are read"
                     );
                 }
@@ -210,17 +210,18 @@ impl Arguments {
                     true => "they stay where they are".to_owned(),
                     false => format!("hard links to them go to {}", photos.dataset.join("images").display()),
                 };
-                let said = format!("{count} photographs in {folder}; {place}");
-                Ok(Prepared { kind: Kind::Photos(photos, names, looks), said })
+                let summary = format!("{count} photographs in {folder}; {place}");
+                Ok(Prepared { kind: Kind::Photos(photos, names, infos), summary })
             }
             Source::Video(path, _) => {
                 let video = self.reader(path, stop).probe()?;
-                let wanted = Wanted { frames: self.frames.map(|frames| frames as usize), every: self.every };
-                let count = wanted.of(&video);
-                if wanted.requested(&video).is_some_and(|requested| requested > count) {
-                    tell!("warning: {}: {count} frames are taken, no more are possible", path.display());
+                let request =
+                    FrameRequest { frames: self.frames.map(|frames| frames as usize), every: self.every };
+                let count = request.of(&video);
+                if request.requested(&video).is_some_and(|requested| requested > count) {
+                    errln!("warning: {}: {count} frames are taken, no more are possible", path.display());
                 }
-                if count < LEAST_PHOTOS {
+                if count < MIN_PHOTOS {
                     let problem = format!("{count} frames are too few to find their cameras");
                     return Err(Error::input(
                         path,
@@ -229,41 +230,41 @@ impl Arguments {
                     ));
                 }
                 let (seconds, frames) = (video.seconds, thousands(video.frames as u64));
-                let said = format!("{} with {frames} frames in {seconds:.1} s", path.display());
-                Ok(Prepared { kind: Kind::Video(path, video, count), said })
+                let summary = format!("{} with {frames} frames in {seconds:.1} s", path.display());
+                Ok(Prepared { kind: Kind::Video(path, video, count), summary })
             }
         }
     }
 
     /// Reads all photographs once, so that damage is found now and not after hours. Damaged ones are skipped if enough
     /// are sound.
-    fn looks(&self, photos: &Photos, stop: &AtomicBool) -> Result<(Vec<String>, Vec<Look>)> {
+    fn infos(&self, photos: &Photos, stop: &AtomicBool) -> Result<(Vec<String>, Vec<PhotoInfo>)> {
         let bar = counting_in("checking", "photographs", photos.names.len() as u64, self.quiet);
         let memory = self.host.memory();
-        let look = |name: &String| {
+        let info = |name: &String| {
             session::check(stop)?;
             let path = photos.folder.join(name);
             Photo::read_within(&path, [0.0; 3], &memory)?;
             bar.inc(1);
-            Ok(Look::of(&path, photo_size(&path)?))
+            Ok(PhotoInfo::of(&path, photo_size(&path)?))
         };
-        let looks: Vec<Result<Look>> = photos.names.par_iter().map(look).collect();
+        let infos: Vec<Result<PhotoInfo>> = photos.names.par_iter().map(info).collect();
         bar.finish_and_clear();
         session::check(stop)?;
-        let damaged = looks.iter().filter(|look| look.is_err()).count();
-        let enough = looks.len() - damaged >= LEAST_PHOTOS;
+        let damaged = infos.iter().filter(|info| info.is_err()).count();
+        let enough = infos.len() - damaged >= MIN_PHOTOS;
         let (mut sound, mut left_out) = ((Vec::new(), Vec::new()), 0);
-        for (name, look) in photos.names.iter().zip(looks) {
-            match look {
-                Ok(look) => {
+        for (name, info) in photos.names.iter().zip(infos) {
+            match info {
+                Ok(info) => {
                     sound.0.push(name.clone());
-                    sound.1.push(look);
+                    sound.1.push(info);
                 }
                 // Too little memory or no permission is not the photograph's fault.
                 Err(error @ Error::Input { .. }) if enough => {
                     left_out += 1;
-                    if left_out <= MOST_NAMED {
-                        tell!("warning: left out: {error}");
+                    if left_out <= MAX_REPORTED {
+                        errln!("warning: left out: {error}");
                     }
                 }
                 Err(error) if damaged == 1 => return Err(error),
@@ -273,69 +274,77 @@ impl Arguments {
                 }
             }
         }
-        if left_out > MOST_NAMED {
-            tell!("warning: left out: {} more", left_out - MOST_NAMED);
+        if left_out > MAX_REPORTED {
+            errln!("warning: left out: {} more", left_out - MAX_REPORTED);
         }
         Ok(sound)
     }
 
     /// Returns the photographs as files; extracts a video's frames.
-    fn photographs(&self, kind: Kind, work: &mut Work, stop: &AtomicBool) -> Result<(Prints, Vec<Look>)> {
+    fn photographs(
+        &self,
+        kind: Kind,
+        workspace: &mut Workspace,
+        stop: &AtomicBool,
+    ) -> Result<(PhotoFiles, Vec<PhotoInfo>)> {
         let (path, video, count) = match kind {
-            Kind::Photos(Photos { folder, in_place, .. }, names, looks) => {
+            Kind::Photos(Photos { folder, in_place, .. }, names, infos) => {
                 let (folder, in_place) = (folder.clone(), *in_place);
-                return Ok((Prints { folder, names, in_place, is_ours: false, video: false }, looks));
+                return Ok((
+                    PhotoFiles { folder, names, in_place, is_extracted: false, video: false },
+                    infos,
+                ));
             }
             Kind::Video(path, video, count) => (path, video, count),
         };
         let key = format!("{count} of {}", cameras::fingerprint(path)?);
-        let folder = work.path("frames");
-        if !work.has_frames(&key) {
+        let folder = workspace.path("frames");
+        if !workspace.has_frames(&key) {
             let begin = Instant::now();
-            work.note_frames(None)?;
-            work.fresh_folder("frames")?;
+            workspace.note_frames(None)?;
+            workspace.fresh_folder("frames")?;
             let bar = counting_in("frames", "seconds", video.seconds.ceil() as u64, self.quiet);
             let looked_at = |seconds: f64| bar.set_position(seconds as u64);
             let kept = self.reader(path, stop).pick(&video, count, &folder, &looked_at);
             bar.finish_and_clear();
             let kept = kept?;
-            work.note_frames(Some(key))?;
+            workspace.note_frames(Some(key))?;
             let each = video.seconds / count as f64;
             let took = time(begin.elapsed().as_secs_f64());
-            self.tell(&format!("frames      {took}: {kept}, the sharpest of every {each:.2} s"));
+            self.note(&format!("frames      {took}: {kept}, the sharpest of every {each:.2} s"));
         } else {
-            self.tell("frames      there already");
+            self.note("frames      there already");
         }
         let entries = std::fs::read_dir(&folder).map_err(|e| Error::io(&folder, "read", e))?;
         let mut names: Vec<String> =
             entries.flatten().filter_map(|e| e.file_name().into_string().ok()).collect();
         names.sort();
         let size = names.first().map(|name| photo_size(folder.join(name))).transpose()?.unwrap_or_default();
-        let looks = vec![Look { size, lens: String::new() }; names.len()];
-        Ok((Prints { folder, names, in_place: false, is_ours: true, video: true }, looks))
+        let infos = vec![PhotoInfo { size, lens: String::new() }; names.len()];
+        Ok((PhotoFiles { folder, names, in_place: false, is_extracted: true, video: true }, infos))
     }
 
     /// Cleans up after an unfinished run. Keeps COLMAP's log and what a second run can use.
-    fn leave(&self, work: Work, error: Error) -> Error {
+    fn leave(&self, workspace: Workspace, error: Error) -> Error {
         let interrupted = matches!(error, Error::Interrupted);
-        if !work.is_worth_keeping() && (interrupted || !work.path(work::LOG_FILE).exists()) {
-            work.abandon();
+        if !workspace.is_worth_keeping() && (interrupted || !workspace.path(workspace::LOG_FILE).exists()) {
+            workspace.abandon();
             return error;
         }
         if interrupted {
-            self.tell(&format!(
+            self.note(&format!(
                 "interrupted: the same command goes on from here ({})",
-                work.folder().display()
+                workspace.folder().display()
             ));
         }
         error
     }
 
-    fn link(&self, photos: &Prints, work: &Work) -> Result<PathBuf> {
-        let folder = work.fresh_folder("images")?;
-        let copies = work::link_photos(&photos.folder, &photos.names, &folder)?;
+    fn link(&self, photos: &PhotoFiles, workspace: &Workspace) -> Result<PathBuf> {
+        let folder = workspace.fresh_folder("images")?;
+        let copies = workspace::link_photos(&photos.folder, &photos.names, &folder)?;
         if copies > 0 {
-            self.tell(&format!("{copies} photographs were copied: there can be no hard links from there"));
+            self.note(&format!("{copies} photographs were copied: there can be no hard links from there"));
         }
         Ok(folder)
     }
@@ -348,7 +357,7 @@ impl Arguments {
             _ if photographs <= EXHAUSTIVE[usize::from(gpu)] => Matcher::Exhaustive,
             _ => Matcher::Sequential,
         };
-        let said = match matcher {
+        let summary = match matcher {
             Matcher::Exhaustive => {
                 let pairs = thousands((photographs * photographs.saturating_sub(1) / 2) as u64);
                 format!("exhaustive, {pairs} pairs")
@@ -357,14 +366,14 @@ impl Arguments {
                 "sequential: each with its neighbours by name (--matcher exhaustive: with all)".into()
             }
         };
-        (matcher, said)
+        (matcher, summary)
     }
 
-    fn report(&self, photos: &Prints, found: &Found, dataset: &Path, seconds: f64) {
+    fn report(&self, photos: &PhotoFiles, found: &Reconstruction, dataset: &Path, seconds: f64) {
         let what = if photos.video { "frames" } else { "photographs" };
         let (all, registered) = (photos.names.len(), found.registered.len());
         if found.models > 1 {
-            tell!(
+            errln!(
                 "warning: the {what} fall into {} groups without connection; the largest is the data set: more {what} between \
                  them would join them",
                 found.models
@@ -377,23 +386,23 @@ impl Arguments {
             .filter(|name| !found.registered.contains(*name))
             .collect();
         if !missing.is_empty() {
-            let more = missing.len().saturating_sub(NAMED);
+            let more = missing.len().saturating_sub(LISTED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let some = missing[..missing.len().min(NAMED)].join(", ");
+            let some = missing[..missing.len().min(LISTED)].join(", ");
             let remedy = if photos.video { " (--frames takes more)" } else { "" };
-            tell!(
+            errln!(
                 "warning: no camera was found for {some}{more}: blurred, or too little overlap with the others{remedy}"
             );
         }
-        say!("registered      {registered} of {all} {what}");
-        say!("points          {}", thousands(found.points as u64));
-        say!("data set        {}", dataset.display());
-        say!("time            {}", time(seconds));
+        outln!("registered      {registered} of {all} {what}");
+        outln!("points          {}", thousands(found.points as u64));
+        outln!("data set        {}", dataset.display());
+        outln!("time            {}", time(seconds));
         let model = ashsplat_program::model::usual_folder(dataset);
         let (dataset, model) = (quoted(&dataset.to_string_lossy()), quoted(&model));
-        say!("check it        ashsplat info {dataset}");
-        say!("train           ashsplat train -s {dataset} -m {model} --eval");
-        say!("look at it      ashsplat view {model}");
+        outln!("check it        ashsplat info {dataset}");
+        outln!("train           ashsplat train -s {dataset} -m {model} --eval");
+        outln!("look at it      ashsplat view {model}");
     }
 }
 
@@ -403,31 +412,31 @@ fn time(seconds: f64) -> String {
 }
 
 /// Progress display of a stage.
-struct Meter {
+struct StageBar {
     bar: indicatif::ProgressBar,
     /// Steps that earlier runs have done.
     before: AtomicU64,
 }
 
-impl Meter {
+impl StageBar {
     fn new(what: &'static str, unit: &'static str, total: usize, quiet: bool) -> Self {
         Self { bar: counting_in(what, unit, total as u64, quiet), before: AtomicU64::new(0) }
     }
 
-    fn hear(&self, heard: colmap::Heard) {
-        match heard {
-            colmap::Heard::Of(done, all) => {
+    fn update(&self, progress: colmap::ColmapProgress) {
+        match progress {
+            colmap::ColmapProgress::Steps(done, all) => {
                 if self.before.load(Ordering::Relaxed) == 0 && self.bar.length() < Some(all) {
                     self.bar.set_length(all);
                 }
                 self.bar.set_position(self.before.load(Ordering::Relaxed) + done);
             }
-            colmap::Heard::Registered(count) => self.bar.set_position(count),
+            colmap::ColmapProgress::Registered(count) => self.bar.set_position(count),
         }
     }
 }
 
-impl Drop for Meter {
+impl Drop for StageBar {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
     }

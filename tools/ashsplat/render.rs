@@ -10,7 +10,7 @@ use ashsplat_program::appearance::Appearance;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::film_file::{self, Container, Frames};
 use ashsplat_program::look::{
-    Drawn, LookArguments, NOTHING_SHOWN, gaussians_of, parse_target, reported, tree_of,
+    BudgetedTree, LookArguments, NOTHING_SHOWN, gaussians_of, parse_target, reported, tree_of,
 };
 use ashsplat_program::model::{Model, ModelArguments, folder_of_tiles};
 use ashsplat_program::output::{self, Depth};
@@ -138,7 +138,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut renderer = Renderer::new(&context)?;
     renderer.upload_stored(&scene.gaussians, arguments.look.stored(&scene.gaussians))?;
     if let (Some(note), false) = (&views.note, arguments.quiet) {
-        say!("{note}");
+        outln!("{note}");
     }
     let count = views.cameras.len();
     // A bar suffices for a film, whose frames are not separate results.
@@ -148,7 +148,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut render = |index: usize| {
         let start = Instant::now();
         let named = &views.cameras[index];
-        if let Some(tiles) = tiles.as_mut().map(|tiles| tiles.wanted(&named.camera)).transpose()?.flatten() {
+        if let Some(tiles) =
+            tiles.as_mut().map(|tiles| tiles.changed_gaussians(&named.camera)).transpose()?.flatten()
+        {
             renderer.upload_stored(&tiles, arguments.look.stored(&tiles))?;
         }
         let mut frame = renderer.render(&named.camera, &settings)?;
@@ -162,7 +164,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         shows_any |= frame.stats.visible > 0;
         bar.inc(1);
         if !arguments.quiet && film.is_none() {
-            say!("{}", describe(index, &named.name, milliseconds, &frame));
+            outln!("{}", describe(index, &named.name, milliseconds, &frame));
         }
         Ok(frame)
     };
@@ -195,7 +197,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     bar.finish_and_clear();
     if !shows_any {
-        tell!("warning: {NOTHING_SHOWN}");
+        errln!("warning: {NOTHING_SHOWN}");
     }
     if !arguments.quiet {
         let mean = total / count as f64;
@@ -204,7 +206,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             .map_or_else(String::new, |file| format!(" ({:.1} MiB)", file.len() as f64 / f64::from(1 << 20)));
         let (out, device) = (arguments.out.display(), context.device_name());
         let frames = if count == 1 { "1 frame".to_owned() } else { format!("{count} frames") };
-        say!("{frames} in {out}{size}, {mean:.1} ms each on {device}");
+        outln!("{frames} in {out}{size}, {mean:.1} ms each on {device}");
     }
     arguments.device.report_validation(&context);
     Ok(())
@@ -255,9 +257,9 @@ fn scene_of(path: &Path, tree: Option<&Tree>) -> PathBuf {
 }
 
 impl Arguments {
-    fn drawn(&self, tree: Tree) -> Drawn {
+    fn drawn(&self, tree: Tree) -> BudgetedTree {
         let budget = self.budget.map_or(usize::MAX, |budget| gaussians_of(budget, &tree));
-        Drawn::new(tree, budget, self.device.host.reading(self.look.drop_invalid))
+        BudgetedTree::new(tree, budget, self.device.host.reading(self.look.drop_invalid))
     }
 
     /// The requested exposure and lens effects.

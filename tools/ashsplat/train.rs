@@ -9,7 +9,6 @@ mod live;
 #[cfg(not(feature = "view"))]
 #[path = "train/no_viewers.rs"]
 mod live;
-mod origin;
 mod outside;
 mod poses;
 mod prepared;
@@ -21,6 +20,7 @@ mod testing;
 #[cfg(test)]
 mod tests;
 mod tracking;
+mod training_start;
 mod verify;
 
 use accounting::Effect;
@@ -33,8 +33,8 @@ use ashsplat_files::Dataset;
 use ashsplat_program::args::{DeviceArguments, bytes};
 use ashsplat_program::blocks::job::Job;
 use ashsplat_program::blocks::result;
-use ashsplat_program::blocks::rounds::Stage;
-use ashsplat_program::config::{Facts, Given, Overrides, Settings};
+use ashsplat_program::blocks::rounds::CurrentRound;
+use ashsplat_program::config::{DefaultsInput, Overrides, Settings, SettingsSources};
 use ashsplat_program::eval::read_weights;
 use ashsplat_program::lock::FolderLock;
 use ashsplat_program::measure::{Cost, Stopwatch};
@@ -45,15 +45,15 @@ use checkpoints::StartFrom;
 use clap::{Arg, Args, value_parser};
 use glam::DVec3;
 use live::{Live, LiveArguments};
-use origin::{Origin, check_fits};
 use prepared::{Views, photo_memory};
-pub use report::say_what_next;
-use report::{KernelTimes, say_complete};
-use saving::Unsaved;
+pub use report::print_next_steps;
+use report::{KernelTimes, print_complete};
+use saving::SaveRetries;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use testing::Tested;
 use tracking::Tracking;
+use training_start::{RunStart, check_fits};
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
 ///
@@ -149,8 +149,8 @@ fn in_short_help(argument: Arg) -> Arg {
 const FIRST_ITERATIONS: u32 = 100;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let given = Given::read(arguments.config.as_deref(), &arguments.overrides)?;
-    let settings = given.settle(&Facts::default())?;
+    let given = SettingsSources::read(arguments.config.as_deref(), &arguments.overrides)?;
+    let settings = given.settle(&DefaultsInput::default())?;
     if settings.train.lens_opt && settings.data.undistort {
         let problem = "does not go together with --undistort, whose photographs are those of a pinhole";
         return Err(Error::argument("--lens-opt", problem));
@@ -173,54 +173,55 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let held = if writes { folder::hold(model, arguments.wait, &stop)? } else { None };
     let is_asked_again = arguments.start_checkpoint == Some(StartFrom::Auto);
     if writes && is_asked_again && job.as_ref().is_some_and(result::is_done) {
-        return say_complete(&settings);
+        return print_complete(&settings);
     }
-    let stage = rounds::stage(job.as_ref(), &settings)?;
-    if let Some(stage) = stage.as_ref().filter(|stage| writes && is_asked_again && stage.is_done) {
-        stage.say_done();
+    let round = rounds::current_round(job.as_ref(), &settings)?;
+    if let Some(round) = round.as_ref().filter(|round| writes && is_asked_again && round.is_done) {
+        round.print_done();
         return Ok(());
     }
-    let from = rounds::start(arguments.start_checkpoint.as_ref(), stage.as_ref(), model);
+    let from = rounds::start(arguments.start_checkpoint.as_ref(), round.as_ref(), model);
     let lpips = read_weights(&settings.data.lpips_weights, &arguments.device.host)?;
-    let door = if writes { arguments.live.open()? } else { None };
+    let port = if writes { arguments.live.open()? } else { None };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let host = &arguments.device.host;
     let offload = arguments.offload.map(|size| size.unwrap_or_else(|| host.memory().limit()));
     let context = arguments.device.context_with(|options| options.offload = offload)?;
-    let mut origin =
-        Origin::read(from.as_ref(), &settings, stage.as_ref().and_then(Stage::surroundings), host)?;
+    let mut initial =
+        RunStart::read(from.as_ref(), &settings, round.as_ref().and_then(CurrentRound::surroundings), host)?;
     job.as_ref().map_or(Ok(()), |job| job.check_coarse(&settings.data.init))?;
-    if writes && job.is_none() && origin.is_complete(&settings) {
-        return say_complete(&settings);
+    if writes && job.is_none() && initial.is_complete(&settings) {
+        return print_complete(&settings);
     }
     // Photographs are read for the settings that the checkpoint brings, such as its background.
-    let settings = given.settle(&Facts::of_start(origin.checkpoint()))?;
+    let settings = given.settle(&DefaultsInput::of_start(initial.checkpoint()))?;
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
     // Depth maps are used for training only.
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     // A continued training keeps its coordinates.
-    options.frame = origin.checkpoint().map(|checkpoint| checkpoint.frame);
+    options.frame = initial.checkpoint().map(|checkpoint| checkpoint.frame);
     options.keep_opacity = settings.train.random_background;
     options.photo_memory = Some(photo_memory(&context, arguments.photo_memory, &settings.data.model_path));
     let mut gallery = session::open(&settings.data, &options, &stop)?;
-    origin.express_in(gallery.frame());
-    let (mut settings, defaults) = given.settle_for(&mut gallery, origin.checkpoint(), origin.sh_degree())?;
+    initial.express_in(gallery.frame());
+    let (mut settings, defaults) =
+        given.settle_for(&mut gallery, initial.checkpoint(), initial.sh_degree())?;
     settings.data.level = gallery.level().to_string();
     // A continued training keeps its settings, used or not.
-    if origin.start().is_none() {
+    if initial.start().is_none() {
         given.refuse_unused(&settings)?;
     }
-    origin.warn_if_out_of_view(&settings, &gallery)?;
+    initial.warn_if_out_of_view(&settings, &gallery)?;
     warn_of_late_growth(&settings.train);
     let used = outside::look(
         &context,
         &mut gallery,
-        (origin.scene(), &settings, job.as_ref()),
+        (initial.scene(), &settings, job.as_ref()),
         (arguments.quiet, &stop),
     )?;
-    let unseen = origin.divide(&settings, &gallery)?;
+    let out_of_view = initial.divide(&settings, &gallery)?;
     testing::check_sizes(&lpips, &gallery, &settings)?;
-    check_fits(&context, &gallery, &settings, &origin)?;
+    check_fits(&context, &gallery, &settings, &initial)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     let start = describe_start(&dataset, &context);
     gallery
@@ -230,45 +231,45 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .chain(&defaults)
         .chain(&used)
         .filter(|_| !arguments.quiet)
-        .for_each(|line| tell!("{line}"));
+        .for_each(|line| errln!("{line}"));
     // The pages show whole photos.
     let gallery = arguments.live.wants_photos().then(|| gallery.with_whole_photos());
-    match origin.needs_points() {
+    match initial.needs_points() {
         true => settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?,
         false => dataset.needs_no_points(),
     }
     session::warn(&dataset.warnings);
-    origin.start().iter().for_each(|start| start.warn(&context));
+    initial.start().iter().for_each(|start| start.warn(&context));
     if let Some(iterations) = arguments.verify_determinism {
         drop(gallery);
         session::end_at_once(&stop)?;
-        return verify::run(&context, dataset, (&settings, &origin), iterations, arguments.quiet);
+        return verify::run(&context, dataset, (&settings, &initial), iterations, arguments.quiet);
     }
     let folder = settings.data.model_path.clone();
-    let mut run = Run::begin(&context, dataset, (settings, held), &origin, arguments.quiet)?;
+    let mut run = Run::begin(&context, dataset, (settings, held), &initial, arguments.quiet)?;
     if !arguments.quiet {
-        tell!("{start}");
+        errln!("{start}");
     }
-    unseen.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
+    out_of_view.iter().filter(|_| !arguments.quiet).for_each(|line| errln!("{line}"));
     // Freed here: a checkpoint is as large as everything that training keeps on the device.
-    drop(origin);
+    drop(initial);
     run.repeat(&arguments.device, arguments.photo_memory, arguments.offload);
     run.track_within(arguments.eval_share);
     run.lpips = lpips;
-    if let Some(stage) = &stage {
-        run.stop_at_end_of(stage);
+    if let Some(round) = &round {
+        run.stop_at_end_of(round);
     }
-    run.look_on(door, &context, gallery)?;
+    run.serve(port, &context, gallery)?;
     // Nothing is trained yet, so Ctrl-C may end the run here.
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;
     run.report();
-    let ended = job.as_ref().zip(stage.as_ref()).filter(|_| !interrupted);
-    ended.map_or(Ok(()), |(job, stage)| run.note_end(job, stage))?;
-    say!("written to {}", folder.display());
-    run.say_origin();
-    if !interrupted && !arguments.quiet && stage.is_none_or(|stage| stage.is_last()) {
-        say_what_next(&folder, run.views.held_out);
+    let ended = job.as_ref().zip(round.as_ref()).filter(|_| !interrupted);
+    ended.map_or(Ok(()), |(job, round)| run.note_end(job, round))?;
+    outln!("written to {}", folder.display());
+    run.print_origin();
+    if !interrupted && !arguments.quiet && round.is_none_or(|round| round.is_last()) {
+        print_next_steps(&folder, run.views.held_out);
     }
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
@@ -283,7 +284,7 @@ fn warn_of_late_growth(settings: &TrainSettings) {
         return;
     };
     if iterations - last < RECOVERY {
-        tell!(
+        errln!(
             "warning: the last densification, at iteration {last}, is {} iterations before the end, too few to train what it adds, \
              which may cost decibels; end at least {RECOVERY} after it",
             iterations - last
@@ -334,7 +335,7 @@ pub struct Run {
     /// Iteration of the last checkpoint.
     checkpointed: Option<u32>,
     /// Scene or checkpoint that could not be saved yet.
-    unsaved: Unsaved,
+    retries: SaveRetries,
     kernels: KernelTimes,
     /// Further arguments that are needed to continue with the same bits.
     repeated: String,
@@ -351,7 +352,7 @@ pub struct Run {
 impl Run {
     /// Prepares a run that begins with the data set's points.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
-        Self::begin(context, dataset, (settings, None), &Origin::points(), quiet)
+        Self::begin(context, dataset, (settings, None), &RunStart::points(), quiet)
     }
 
     /// Creates the trainer. Then, when only the disk can still fail, it creates the model folder with
@@ -360,21 +361,21 @@ impl Run {
         context: &Context,
         dataset: Dataset,
         (settings, held): (Settings, Option<FolderLock>),
-        origin: &Origin,
+        initial: &RunStart,
         quiet: bool,
     ) -> Result<Run> {
-        let mut first = origin.first(&dataset, &settings)?;
+        let mut first = initial.initial_gaussians(&dataset, &settings)?;
         let points = first.points.take();
         let (data, views) = prepared::split(dataset, &settings);
-        let trainer = origin.trainer(context, data, first, &settings.train)?;
+        let trainer = initial.trainer(context, data, first, &settings.train)?;
         let model = settings.data.model_path.clone();
-        let start = origin.start();
+        let start = initial.start();
         let continues = start.is_some_and(|start| start.is_of(&model));
         let cameras = (&views.cameras[..], &views.frame);
         let lock = folder::begin(&settings, held, cameras, points.as_ref(), continues)?;
         let log = match start {
             None => TrainLog::create(&model.join(LOG_FILE))?,
-            Some(_) => TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?,
+            Some(_) => TrainLog::resume(&model.join(LOG_FILE), trainer.iteration())?,
         };
         let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
         if let Some(start) = start {
@@ -417,7 +418,7 @@ impl Run {
             skipped: 0,
             saved: None,
             checkpointed: None,
-            unsaved: Unsaved::default(),
+            retries: SaveRetries::default(),
             kernels: KernelTimes::new(context),
             repeated: String::new(),
             until,
@@ -443,7 +444,7 @@ impl Run {
         }
         let log = self.log.finish();
         if let (Err(_), Err(error)) = (&result, &log) {
-            tell!("warning: {error}");
+            errln!("warning: {error}");
         }
         let interrupted = result?;
         log?;
@@ -490,7 +491,7 @@ impl Run {
                 if let Err(error) = kept {
                     self.progress.warn(&format!("warning: {error}"));
                 }
-                self.say_how_to_go_on(report.iteration);
+                self.print_how_to_resume(report.iteration);
                 return Ok(true);
             }
             kept?;
@@ -499,10 +500,10 @@ impl Run {
     }
 
     /// Reports the origin of the scene file's positions, if it is not the data set's own.
-    fn say_origin(&self) {
+    fn print_origin(&self) {
         let DVec3 { x, y, z } = self.views.frame.origin;
         if self.views.frame.origin != DVec3::ZERO {
-            say!("the scene's origin is {x} {y} {z}: positions in point_cloud.ply are relative to it");
+            outln!("the scene's origin is {x} {y} {z}: positions in point_cloud.ply are relative to it");
         }
     }
 }

@@ -13,7 +13,7 @@ use clap::Args;
 use std::path::PathBuf;
 
 /// Most values or pairs of a primitive.
-const MOST_ELEMENTS: i64 = 1 << 28;
+const MAX_ELEMENTS: i64 = 1 << 28;
 
 /// How often a workload is run.
 #[derive(Args, Clone, Copy)]
@@ -70,7 +70,7 @@ impl OutputArguments {
 #[derive(Args)]
 pub struct PrimitiveArguments {
     /// Values of the scan, pairs of the sort [default: 16777216 values, 4194304 pairs]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_ELEMENTS))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_ELEMENTS))]
     pub elements: Option<u32>,
     /// Seed of the values and keys
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -129,7 +129,7 @@ pub struct TrainArguments {
 #[derive(Args)]
 pub struct AllArguments {
     /// Pairs of the larger sort; the smaller takes a quarter, the scan four times as many values
-    #[arg(long, value_name = "N", default_value_t = 1 << 22, value_parser = clap::value_parser!(u32).range(1..=MOST_ELEMENTS))]
+    #[arg(long, value_name = "N", default_value_t = 1 << 22, value_parser = clap::value_parser!(u32).range(1..=MAX_ELEMENTS))]
     pub elements: u32,
     #[command(flatten)]
     pub synthetic: SyntheticArguments,

@@ -8,7 +8,7 @@ const DRIFT: f64 = 0.10;
 const JITTER_US: f64 = 10.0;
 
 /// One kernel, or a whole iteration, in both measurements.
-pub struct Line {
+pub struct Row {
     pub run: String,
     pub scope: String,
     pub kernel: String,
@@ -25,7 +25,7 @@ pub enum Verdict {
     Faster,
 }
 
-impl Line {
+impl Row {
     /// A line for the time of a whole iteration.
     pub fn whole(run: &str, what: &str, a_us: Spread, b_us: Spread) -> Self {
         Self { run: run.to_owned(), scope: String::new(), kernel: what.to_owned(), calls: 1, a_us, b_us }
@@ -69,18 +69,18 @@ pub fn alone<'a>(
 }
 
 /// Pairs up the kernels of two measurements.
-pub fn kernels(run: &str, a: &[KernelResult], b: &[KernelResult]) -> Vec<Line> {
+pub fn kernels(run: &str, a: &[KernelResult], b: &[KernelResult]) -> Vec<Row> {
     let mut lines = Vec::new();
     for kernel in a {
         if let (Some(a_us), Some(b_us)) = (kernel.time_us, time_of_twin(kernel, b)) {
             let (scope, name) = (kernel.scope.clone(), kernel.kernel.clone());
-            lines.push(Line { run: run.to_owned(), scope, kernel: name, calls: kernel.calls, a_us, b_us });
+            lines.push(Row { run: run.to_owned(), scope, kernel: name, calls: kernel.calls, a_us, b_us });
         }
     }
     lines
 }
 
-pub fn table(lines: &[Line]) -> String {
+pub fn table(lines: &[Row]) -> String {
     let mut out = format!(
         "{:<11} {:<16} {:<26} {:>11} {:>11} {:>7}  {:<16} {}\n",
         "run", "stage", "kernel", "A µs", "B µs", "B/A", "range", "verdict"
@@ -114,7 +114,7 @@ mod tests {
     fn times_differ_beyond_their_spread_drift_and_jitter() {
         let verdict = |min: f64, p90: f64| {
             let a_us = Spread { min: 1000.0, median: 1050.0, p90: 1100.0, mean: 1050.0 };
-            Line::whole("sort", "all", a_us, Spread { min, p90, ..a_us }).verdict()
+            Row::whole("sort", "all", a_us, Spread { min, p90, ..a_us }).verdict()
         };
         assert_eq!(verdict(1210.0, 1300.0), Verdict::Same);
         assert_eq!(verdict(1230.0, 1300.0), Verdict::Slower);

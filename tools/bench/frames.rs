@@ -18,14 +18,14 @@ use std::rc::Rc;
 
 /// Unit of work of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum What {
+pub enum IterationKind {
     /// A frame
     Render,
     /// A training step
     TrainStep,
 }
 
-impl What {
+impl IterationKind {
     /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
@@ -38,7 +38,7 @@ impl What {
 /// A frame or a step of a scene.
 #[derive(Clone)]
 pub struct Plan {
-    pub what: What,
+    pub what: IterationKind,
     pub scene: Rc<Scene>,
     /// Forms of blending that take turns; empty for the device's default alone.
     pub forms: Vec<Blending>,
@@ -48,21 +48,21 @@ pub struct Plan {
 }
 
 /// A plan on a device.
-pub struct Subject<'a> {
+pub struct PlannedWork<'a> {
     context: &'a Context,
     plan: &'a Plan,
-    work: Work,
+    runner: Runner,
     /// Statistics of the last iteration.
-    seen: Seen,
+    stats: IterationStats,
 }
 
-enum Work {
+enum Runner {
     Frame(Box<Renderer>),
     Step(Box<Trainer>),
 }
 
 #[derive(Clone, Copy, Default)]
-struct Seen {
+struct IterationStats {
     gaussians: u32,
     visible: u32,
     instances: u32,
@@ -70,44 +70,44 @@ struct Seen {
     samples: BlendSamples,
 }
 
-impl<'a> Subject<'a> {
+impl<'a> PlannedWork<'a> {
     /// Builds the kernels and loads the scene.
     pub fn new(context: &'a Context, plan: &'a Plan) -> Result<Self> {
-        let mut work = match plan.what {
-            What::Render => Work::Frame(Box::new(renderer(context, &plan.scene)?)),
-            What::TrainStep => Work::Step(Box::new(trainer(context, plan)?)),
+        let mut runner = match plan.what {
+            IterationKind::Render => Runner::Frame(Box::new(renderer(context, &plan.scene)?)),
+            IterationKind::TrainStep => Runner::Step(Box::new(trainer(context, plan)?)),
         };
-        match (plan.forms.first(), &mut work) {
-            (Some(&form), Work::Frame(renderer)) => renderer.set_blending(form),
-            (Some(&form), Work::Step(trainer)) => trainer.set_blending(form),
+        match (plan.forms.first(), &mut runner) {
+            (Some(&form), Runner::Frame(renderer)) => renderer.set_blending(form),
+            (Some(&form), Runner::Step(trainer)) => trainer.set_blending(form),
             (None, _) => {}
         }
-        Ok(Self { context, plan, work, seen: Seen::default() })
+        Ok(Self { context, plan, runner, stats: IterationStats::default() })
     }
 
     fn blending(&self) -> Blending {
-        match &self.work {
-            Work::Frame(renderer) => renderer.blending(),
-            Work::Step(trainer) => trainer.blending(),
+        match &self.runner {
+            Runner::Frame(renderer) => renderer.blending(),
+            Runner::Step(trainer) => trainer.blending(),
         }
     }
 
     /// Runs one iteration in the current form of blending.
     pub fn iterate(&mut self) -> Result<()> {
         let (camera, settings) = (&self.plan.scene.camera, RenderSettings::default());
-        self.seen = match &mut self.work {
-            Work::Frame(renderer) => {
+        self.stats = match &mut self.runner {
+            Runner::Frame(renderer) => {
                 let stats = match self.plan.reads_back {
                     true => renderer.render(camera, &settings)?.stats,
                     false => renderer.draw(camera, &settings)?,
                 };
                 let FrameStats { gaussians, visible, instances, longest_tile, samples, .. } = stats;
-                Seen { gaussians, visible, instances, longest_tile, samples }
+                IterationStats { gaussians, visible, instances, longest_tile, samples }
             }
-            Work::Step(trainer) => {
+            Runner::Step(trainer) => {
                 let StepReport { gaussians, visible, instances, longest_tile, samples, .. } =
                     trainer.step()?;
-                Seen { gaussians, visible, instances, longest_tile, samples }
+                IterationStats { gaussians, visible, instances, longest_tile, samples }
             }
         };
         Ok(())
@@ -115,9 +115,9 @@ impl<'a> Subject<'a> {
 
     fn iterate_in(&mut self, form: Blending) -> Result<()> {
         if self.blending() != form {
-            match &mut self.work {
-                Work::Frame(renderer) => renderer.set_blending(form),
-                Work::Step(trainer) => trainer.set_blending(form),
+            match &mut self.runner {
+                Runner::Frame(renderer) => renderer.set_blending(form),
+                Runner::Step(trainer) => trainer.set_blending(form),
             }
         }
         self.iterate()
@@ -130,7 +130,7 @@ impl<'a> Subject<'a> {
 
     /// Counts the samples of an iteration in each form; the context must have `COUNT_HITS`.
     pub fn samples(mut self) -> Result<Vec<BlendSamples>> {
-        self.forms().into_iter().map(|form| self.iterate_in(form).map(|()| self.seen.samples)).collect()
+        self.forms().into_iter().map(|form| self.iterate_in(form).map(|()| self.stats.samples)).collect()
     }
 
     /// Runs unmeasured iterations, in which buffers grow and caches fill.
@@ -153,24 +153,24 @@ impl<'a> Subject<'a> {
     /// The picture of the scene in its current state.
     pub fn picture(&mut self) -> Result<Vec<[f32; 3]>> {
         let (camera, settings) = (&self.plan.scene.camera, RenderSettings::default());
-        let frame = match &mut self.work {
-            Work::Frame(renderer) => renderer.render(camera, &settings)?,
-            Work::Step(trainer) => trainer.render(camera, &settings)?,
+        let frame = match &mut self.runner {
+            Runner::Frame(renderer) => renderer.render(camera, &settings)?,
+            Runner::Step(trainer) => trainer.render(camera, &settings)?,
         };
         Ok(frame.color)
     }
 
     fn run(&self, form: Blending, measured: &Measured, copy: Option<&CopyBandwidth>) -> Result<Run> {
         let Plan { scene, reads_back, seed, forms, .. } = self.plan;
-        let (g, camera, seen) = (&scene.gaussians, &scene.camera, self.seen);
-        let (name, workload, gaussians) = match &self.work {
-            Work::Frame(_) => {
+        let (g, camera, stats) = (&scene.gaussians, &scene.camera, self.stats);
+        let (name, workload, gaussians) = match &self.runner {
+            Runner::Frame(_) => {
                 let name = if *reads_back { "render" } else { "draw" };
-                (name, scene.workload(&RenderSettings::default()), [g.len() as u32, seen.gaussians])
+                (name, scene.workload(&RenderSettings::default()), [g.len() as u32, stats.gaussians])
             }
-            Work::Step(trainer) => {
+            Runner::Step(trainer) => {
                 let workload = scene.training_workload(&trainer.render_settings(), *seed);
-                ("train-step", workload, trained(seen.gaussians))
+                ("train-step", workload, trained(stats.gaussians))
             }
         };
         let name = match forms.len() {
@@ -179,9 +179,9 @@ impl<'a> Subject<'a> {
         };
         let counts =
             counts(self.context, gaussians, g.sh_degree, (camera.width, camera.height), scene.storage)?;
-        let counts = counts.seen(seen.visible, seen.instances);
+        let counts = counts.with_stats(stats.visible, stats.instances);
         let workload = Workload {
-            longest_tile: Some(seen.longest_tile),
+            longest_tile: Some(stats.longest_tile),
             blending: Some(forms::name(form).to_owned()),
             ..workload
         };
@@ -196,11 +196,11 @@ pub fn measure(
     iterations: Iterations,
     copy: Option<&CopyBandwidth>,
 ) -> Result<Vec<(Run, Measured)>> {
-    let mut subject = Subject::new(context, plan)?;
+    let mut planned = PlannedWork::new(context, plan)?;
     context.reset_memory_peaks();
     let mut measurements = Vec::new();
-    for form in subject.forms() {
-        let begun = Measurement::begin(context, iterations, || Ok(()), || subject.iterate_in(form))?;
+    for form in planned.forms() {
+        let begun = Measurement::begin(context, iterations, || Ok(()), || planned.iterate_in(form))?;
         measurements.push((form, begun));
     }
     let count = measurements.len();
@@ -208,12 +208,12 @@ pub fn measure(
         // The forms take turns at being first.
         for turn in 0..count {
             let (form, measurement) = &mut measurements[(round + turn) % count];
-            measurement.round(|| Ok(()), || subject.iterate_in(*form))?;
+            measurement.round(|| Ok(()), || planned.iterate_in(*form))?;
         }
     }
     let ended = measurements.into_iter().map(|(form, measurement)| {
         let measured = measurement.end();
-        Ok((subject.run(form, &measured, copy)?, measured))
+        Ok((planned.run(form, &measured, copy)?, measured))
     });
     ended.collect()
 }
@@ -256,7 +256,7 @@ pub fn step_counts(
     size: (u32, u32),
 ) -> Result<Counts> {
     let counts = counts(context, trained(report.gaussians), sh_degree, size, Storage::default())?;
-    Ok(counts.seen(report.visible, report.instances))
+    Ok(counts.with_stats(report.visible, report.instances))
 }
 
 pub fn result(

@@ -43,11 +43,11 @@ use tasks::Task;
 #[derive(Args)]
 pub struct Arguments {
     #[command(subcommand)]
-    what: What,
+    what: Benchmark,
 }
 
 #[derive(Subcommand)]
-enum What {
+enum Benchmark {
     /// The prefix sum alone
     Scan(PrimitiveArguments),
     /// The radix sort alone
@@ -79,17 +79,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         measure_all(&a.output, (iterations, a.seed), |_| Ok(vec![task]))
     };
     match &arguments.what {
-        What::Scan(a) => primitive(a, Task::Scan, tasks::VALUES_PER_PAIR * tasks::PAIRS),
-        What::Sort(a) => primitive(a, Task::Sort, tasks::PAIRS),
-        What::Render(a) => frames(a, frames::What::Render, false),
-        What::Blending(a) => frames(a, frames::What::Render, true),
-        What::TrainStep(a) => frames(a, frames::What::TrainStep, false),
-        What::Train(a) => measure_all(&a.output, (training::ITERATIONS, a.seed), |_| tasks::of_training(a)),
-        What::All(a) => {
+        Benchmark::Scan(a) => primitive(a, Task::Scan, tasks::VALUES_PER_PAIR * tasks::PAIRS),
+        Benchmark::Sort(a) => primitive(a, Task::Sort, tasks::PAIRS),
+        Benchmark::Render(a) => frames(a, frames::IterationKind::Render, false),
+        Benchmark::Blending(a) => frames(a, frames::IterationKind::Render, true),
+        Benchmark::TrainStep(a) => frames(a, frames::IterationKind::TrainStep, false),
+        Benchmark::Train(a) => {
+            measure_all(&a.output, (training::ITERATIONS, a.seed), |_| tasks::of_training(a))
+        }
+        Benchmark::All(a) => {
             let plan = (a.iterations.get(), a.synthetic.seed());
             measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
         }
-        What::Suite(a) => suite::run(a),
+        Benchmark::Suite(a) => suite::run(a),
     }
 }
 
@@ -117,10 +119,10 @@ fn measure_all(
     let report = assemble(&context, iterations, seed, (yardsticks, runs));
     output.write(&report)?;
     if !output.quiet {
-        say!("{}", table::render(&report).trim_end());
+        outln!("{}", table::render(&report).trim_end());
         let ratios = forms::ratios(&report.runs);
         if !ratios.is_empty() {
-            say!("\n{}", ratios.trim_end());
+            outln!("\n{}", ratios.trim_end());
         }
     }
     output.device.report_validation(&context);

@@ -8,7 +8,7 @@ mod trace;
 mod watch;
 
 use crate::forms::FormArguments;
-use crate::frames::{Plan, Subject, What};
+use crate::frames::{IterationKind, Plan, PlannedWork};
 use crate::measure::{Iterations, Yardsticks};
 use crate::schema::KernelResult;
 use crate::workload::SceneArguments;
@@ -45,7 +45,7 @@ const NOT_WITH_DUMP: [&str; 12] = [
 pub struct Arguments {
     /// What to profile [default: render; with --static both]
     #[arg(value_enum)]
-    what: Option<What>,
+    what: Option<IterationKind>,
     #[command(flatten)]
     scene: SceneArguments,
     #[command(flatten)]
@@ -99,8 +99,8 @@ impl Arguments {
     /// Default number of iterations before the measured ones.
     const WARMUP: u32 = 3;
 
-    fn what(&self) -> What {
-        self.what.unwrap_or(What::Render)
+    fn what(&self) -> IterationKind {
+        self.what.unwrap_or(IterationKind::Render)
     }
 
     fn frames(&self) -> u32 {
@@ -114,7 +114,7 @@ impl Arguments {
     /// Loads the scene.
     fn plan(&self) -> Result<Plan> {
         let what = self.what();
-        let scene = Rc::new(self.scene.load(what == What::TrainStep, &self.device.host)?);
+        let scene = Rc::new(self.scene.load(what == IterationKind::TrainStep, &self.device.host)?);
         let forms = self.form.get().into_iter().collect();
         Ok(Plan { what, scene, forms, reads_back: true, seed: self.scene.synthetic.seed() })
     }
@@ -141,7 +141,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let overrides = arguments.overrides()?;
     check_kernel(arguments.kernel.as_deref())?;
     if let Some(folder) = &arguments.dump {
-        say!("{}", dump::dump(folder, arguments.kernel.as_deref())?.trim_end());
+        outln!("{}", dump::dump(folder, arguments.kernel.as_deref())?.trim_end());
         return Ok(());
     }
     if arguments.compiled.is_static {
@@ -168,10 +168,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     only(arguments.kernel.as_deref(), &mut run.kernels)?;
     if !arguments.spec.is_empty() {
-        say!("with {}", arguments.spec.join(", "));
+        outln!("with {}", arguments.spec.join(", "));
     }
     let report = assemble(&context, iterations, plan.seed, (yardsticks, vec![run]));
-    say!("{}", table::render(&report).trim_end());
+    outln!("{}", table::render(&report).trim_end());
     print_messages(&context);
     arguments.device.report_validation(&context);
     Ok(())
@@ -179,10 +179,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Marks one iteration for RenderDoc, which without a window finds no frames to capture.
 fn capture(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<()> {
-    let mut subject = Subject::new(context, plan)?;
-    subject.warm_up(arguments.warmup())?;
-    subject.captured()?;
-    say!("one {} was marked as a capture", arguments.what().name());
+    let mut planned = PlannedWork::new(context, plan)?;
+    planned.warm_up(arguments.warmup())?;
+    planned.captured()?;
+    outln!("one {} was marked as a capture", arguments.what().name());
     print_messages(context);
     arguments.device.report_validation(context);
     Ok(())
@@ -238,6 +238,6 @@ fn print_messages(context: &Context) {
     }
     for (message, count) in counted {
         let times = if count == 1 { String::new() } else { format!("   ({count} times)") };
-        say!("printf: {message}{times}");
+        outln!("printf: {message}{times}");
     }
 }

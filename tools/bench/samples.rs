@@ -1,7 +1,7 @@
 //! Share of the device's arithmetic rate that the blending kernels reach. Their samples are counted in a separate run; the
 //! operations of a sample are known.
 
-use super::frames::Subject;
+use super::frames::PlannedWork;
 use super::schema::{ArithmeticRate, Run};
 use super::tasks::Task;
 use ashsplat::frame::LaunchSizes;
@@ -32,7 +32,7 @@ impl<'a> Counter<'a> {
                 none.insert(self.device.context_with(|options| options.overrides.push(counts))?)
             }
         };
-        Subject::new(context, plan)?.samples()
+        PlannedWork::new(context, plan)?.samples()
     }
 
     /// Prints the messages of the validation layer during counting.

@@ -1,6 +1,6 @@
 //! Sizes on the command line.
 
-use super::workload::MOST_GAUSSIANS;
+use super::workload::MAX_GAUSSIANS;
 
 /// A synthetic frame on the command line: "1140000@1280x720".
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,8 +29,8 @@ impl std::str::FromStr for FrameSize {
             .split_once('@')
             .and_then(|(gaussians, size)| Some((gaussians.parse().ok()?, parse_size(size).ok()?)));
         match parsed {
-            Some((gaussians, _)) if i64::from(gaussians) > MOST_GAUSSIANS => {
-                Err(format!("{gaussians} Gaussians are more than {MOST_GAUSSIANS}"))
+            Some((gaussians, _)) if i64::from(gaussians) > MAX_GAUSSIANS => {
+                Err(format!("{gaussians} Gaussians are more than {MAX_GAUSSIANS}"))
             }
             Some((gaussians @ 1.., (width, height))) => Ok(Self { gaussians, width, height }),
             _ => Err("give Gaussians and size, as in 1140000@1280x720".to_owned()),

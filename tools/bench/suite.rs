@@ -8,7 +8,7 @@ use ashsplat_files::{atomic, quoted, regular_file};
 use ashsplat_program::child::run_logged;
 use ashsplat_program::config::Split;
 use ashsplat_program::eval::RESULTS_FILE;
-use ashsplat_program::lock::{FolderLock, Work};
+use ashsplat_program::lock::{FolderLock, LockKind};
 use ashsplat_program::train_log::{LOG_FILE, Rows};
 use ashsplat_program::{output, session};
 use clap::Args;
@@ -20,7 +20,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-const MEASURING: Work = Work { file: ".suite.lock", what: "suite", option: "-o" };
+const MEASURING: LockKind = LockKind { file: ".suite.lock", what: "suite", option: "-o" };
 
 /// Train scenes by several recipes and seeds: a table of held-out PSNR with mean, worst loss and largest fall along a run.
 ///
@@ -163,23 +163,23 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                 let command = suite.command(scene, recipe, seed, &data);
                 let run = finish(&program, command, &folder, suite.iterations, &stop)?;
                 let (name, psnr) = (folder.display(), run.last.psnr);
-                tell!("{}/{all}  {name}  {psnr:.2} dB  {:.0} s", runs.len() + 1, run.seconds);
+                errln!("{}/{all}  {name}  {psnr:.2} dB  {:.0} s", runs.len() + 1, run.seconds);
                 runs.insert((at, by, seed), run);
             }
         }
     }
     let table = suite.table(&runs);
     output::write_text(&arguments.out.join("suite.md"), &table)?;
-    say!("{}", table.trim_end());
+    outln!("{}", table.trim_end());
     Ok(())
 }
 
 impl Suite {
     fn read(path: &Path) -> Result<Suite> {
-        const MOST_BYTES: u64 = 1 << 20;
+        const MAX_BYTES: u64 = 1 << 20;
         let remedy = "tools/bench.md describes such files";
-        let bytes = regular_file::read_at_most(path, MOST_BYTES)?
-            .ok_or_else(|| Error::input(path, format!("is longer than {MOST_BYTES} bytes"), remedy))?;
+        let bytes = regular_file::read_at_most(path, MAX_BYTES)?
+            .ok_or_else(|| Error::input(path, format!("is longer than {MAX_BYTES} bytes"), remedy))?;
         let text = ashsplat_files::text::from_bytes(path, bytes)?;
         let suite: Suite = toml::from_str(&text).map_err(|e| Error::input(path, e.to_string(), remedy))?;
         let empty = suite.scenes.is_empty() || suite.recipes.is_empty() || suite.seeds.is_empty();
@@ -246,11 +246,11 @@ impl Suite {
             text += &row(std::iter::once(name.to_owned()).chain(recipes.clone().map(cell)));
         };
         add("**mean**", &|by| change(means[by], by, means[0]));
-        let least = |value: &dyn Fn(usize) -> f64| scenes().map(value).fold(f64::INFINITY, f64::min);
-        add("largest loss", &|by| format!("{:+.2}", least(&|at| psnr(at, by) - psnr(at, 0)).min(0.0)));
+        let smallest = |value: &dyn Fn(usize) -> f64| scenes().map(value).fold(f64::INFINITY, f64::min);
+        add("largest loss", &|by| format!("{:+.2}", smallest(&|at| psnr(at, by) - psnr(at, 0)).min(0.0)));
         let best = |run: &Run| run.tests.values().map(|test| test.psnr).fold(f64::NEG_INFINITY, f64::max);
         let rise = |run: &Run| last(run) - best(run);
-        add("largest fall along a run", &|by| format!("{:+.2}", least(&|at| mean(&rise, at, by))));
+        add("largest fall along a run", &|by| format!("{:+.2}", smallest(&|at| mean(&rise, at, by))));
         for (at, scene) in self.scenes.iter().enumerate() {
             let Some(until) = scene.until else { continue };
             add(&format!("{} to {until} dB", scene.name), &|by| {
@@ -387,8 +387,8 @@ fn finish(
             "a run failed: ashsplat {}",
             command.iter().map(|a| quoted(a)).collect::<Vec<_>>().join(" ")
         );
-        let said = ended.tail.last().cloned().unwrap_or_default();
-        return Err(Error::input(folder, problem, said));
+        let last_line = ended.tail.last().cloned().unwrap_or_default();
+        return Err(Error::input(folder, problem, last_line));
     }
     let run = Run::read(folder, setup, iterations, start.elapsed().as_secs_f64())?;
     output::write_json(&note, &run)?;

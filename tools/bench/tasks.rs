@@ -1,7 +1,7 @@
 //! Tasks of a sub-command, measured one after another.
 
 use super::arguments::{AllArguments, FrameArguments, TrainArguments};
-use super::frames::{self, Plan, What};
+use super::frames::{self, IterationKind, Plan};
 use super::measure::Iterations;
 use super::primitives::{self, Job};
 use super::schema::{CopyBandwidth, Run};
@@ -32,9 +32,9 @@ const MANY: u32 = 500_000;
 const FEW_ITERATIONS: u32 = 5;
 
 /// One scene: synthetic, or given by the arguments; in both forms of blending if `both`.
-pub fn of_frames(arguments: &FrameArguments, what: What, both: bool) -> Result<Vec<Task>> {
+pub fn of_frames(arguments: &FrameArguments, what: IterationKind, both: bool) -> Result<Vec<Task>> {
     let reads_back = !arguments.read_back.no_read_back;
-    if what == What::TrainStep && !reads_back {
+    if what == IterationKind::TrainStep && !reads_back {
         let problem = "is about frames: a training step reads no picture back";
         return Err(Error::argument("--no-read-back", problem));
     }
@@ -46,7 +46,7 @@ pub fn of_frames(arguments: &FrameArguments, what: What, both: bool) -> Result<V
         (true, None) => Blending::ALL.to_vec(),
         (false, form) => form.into_iter().collect(),
     };
-    let scene = arguments.scene.load(what == What::TrainStep, &arguments.output.device.host)?;
+    let scene = arguments.scene.load(what == IterationKind::TrainStep, &arguments.output.device.host)?;
     let seed = arguments.scene.synthetic.seed();
     let plan = Plan { what, scene: Rc::new(scene), forms, reads_back, seed };
     Ok(vec![Task::Frames(plan, arguments.iterations.get())])
@@ -76,7 +76,7 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
         ..iterations
     };
     let frame = |scene: &Rc<Scene>| Plan {
-        what: What::Render,
+        what: IterationKind::Render,
         scene: scene.clone(),
         forms: Vec::new(),
         reads_back: !arguments.read_back.no_read_back,
@@ -107,7 +107,7 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
         let trained = SceneArguments::of_file(file, arguments.camera.as_deref(), size).load(false, host)?;
         tasks.push(Task::Frames(frame(&Rc::new(trained)), iterations));
     }
-    tasks.push(Task::Frames(Plan { what: What::TrainStep, ..frame(&synthetic) }, iterations));
+    tasks.push(Task::Frames(Plan { what: IterationKind::TrainStep, ..frame(&synthetic) }, iterations));
     let first_window = arguments.windows.iter().min().map_or(&[][..], std::slice::from_ref);
     for (number, dataset) in arguments.dataset.iter().enumerate() {
         let windows = if number == 0 { &arguments.windows } else { first_window };

@@ -39,7 +39,7 @@ pub struct Counts {
 
 impl Counts {
     /// Adds the counts that a camera saw.
-    pub fn seen(self, visible: u32, instances: u32) -> Self {
+    pub fn with_stats(self, visible: u32, instances: u32) -> Self {
         Self { visible, instances, ..self }
     }
 }

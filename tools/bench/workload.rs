@@ -15,13 +15,13 @@ use glam::Vec3;
 use std::path::{Path, PathBuf};
 
 /// Most Gaussians of a synthetic scene.
-pub const MOST_GAUSSIANS: i64 = 1 << 26;
+pub const MAX_GAUSSIANS: i64 = 1 << 26;
 
 /// A synthetic scene and its picture.
 #[derive(Args, Clone)]
 pub struct SyntheticArguments {
     /// Gaussians of the synthetic scene [default: 300000]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=MOST_GAUSSIANS))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=MAX_GAUSSIANS))]
     pub gaussians: Option<u32>,
     /// SH degree of the synthetic scene, and of what starts from a data set's points [default: 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]

@@ -2,7 +2,7 @@
 
 use super::scenes::{keep, scenes, updates};
 use super::*;
-use crate::kept::{List, collected};
+use crate::recording_cache::{List, collected};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::Pose;
 use ashsplat::vk::ImageState;
@@ -369,13 +369,13 @@ unsafe fn used<'a>(host: &AshsplatHostImage, what: &str) -> Result<HostImage<'a>
 /// # Safety
 /// Same as for ashsplat_record, for each frame.
 pub(super) unsafe fn record(
-    AshsplatRenderer(renderer, scratch, kept): &mut AshsplatRenderer,
+    AshsplatRenderer(renderer, scratch, cache): &mut AshsplatRenderer,
     (commands, slot): (*mut c_void, u32),
     (frames, count): (*const AshsplatRecordedFrame, u32),
     releases: *mut AshsplatRelease,
 ) -> Result<()> {
     scratch.reset();
-    kept.begin();
+    cache.begin();
     let scratch = &*scratch;
     let of_view = |index: usize| {
         move |error: Error| if count == 1 { error } else { within(format_args!("frames[{index}]"))(error) }
@@ -385,13 +385,13 @@ pub(super) unsafe fn record(
         let frames = collected(read_all(frames, count, "frames")?, scratch)?;
         let context = renderer.context();
         for (index, frame) in frames.iter().enumerate() {
-            keep(frame, context, kept).map_err(of_view(index))?;
+            keep(frame, context, cache).map_err(of_view(index))?;
         }
-        let kept = &*kept;
-        let mut copies = kept.copies();
+        let cache = &*cache;
+        let mut copies = cache.copies();
         let all = frames.iter().enumerate();
         let convert = |(index, frame)| {
-            let both = scenes(frame, (scratch, kept))
+            let both = scenes(frame, (scratch, cache))
                 .and_then(|scenes| Ok((scenes, updates(frame, &mut copies, scratch)?)));
             both.map_err(of_view(index))
         };

@@ -9,11 +9,11 @@
 mod derivatives;
 mod foreign;
 mod frames;
-mod kept;
 mod kernels;
 mod measures;
 mod names;
 mod pointers;
+mod recording_cache;
 mod scenes;
 mod slots;
 mod structs;
@@ -33,8 +33,8 @@ pub use training::*;
 pub use trees::*;
 pub use types::*;
 
-use self::kept::{Kept, Scratch};
 use self::pointers::*;
+use self::recording_cache::{RecordingCache, Scratch};
 use self::structs::*;
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Error, RenderSettings, Renderer, Result};
@@ -83,7 +83,7 @@ impl FileNotes {
 
     /// # Safety
     /// The pointers are null or valid for a write.
-    unsafe fn tell(&self, antialiased: *mut bool, warnings: *mut *const c_char) {
+    unsafe fn write_to(&self, antialiased: *mut bool, warnings: *mut *const c_char) {
         // SAFETY: as promised.
         unsafe {
             put_if(antialiased, self.antialiased);
@@ -100,7 +100,7 @@ impl AshsplatScene {
 }
 
 /// Renders scenes.
-pub struct AshsplatRenderer(Renderer, Scratch, Kept);
+pub struct AshsplatRenderer(Renderer, Scratch, RecordingCache);
 
 thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
@@ -120,7 +120,7 @@ pub(crate) use guarded;
 fn guard(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
     let (status, message) = match catch_unwind(AssertUnwindSafe(f)) {
         Ok(Ok(())) => return AshsplatStatus::Ok,
-        Ok(Err(error)) => (status_of(&error), names::said_in_c(error)),
+        Ok(Err(error)) => (status_of(&error), names::message_in_c(error)),
         Err(panic) => {
             let text = panic.downcast_ref::<String>().cloned();
             let text = text.or_else(|| panic.downcast_ref::<&str>().map(|s| (*s).to_owned()));
@@ -238,7 +238,7 @@ pub unsafe extern "C" fn ashsplat_scene_notes(
     warnings: *mut *const c_char,
 ) -> AshsplatStatus {
     guarded!({
-        borrowed(scene, "scene")?.notes.tell(antialiased, warnings);
+        borrowed(scene, "scene")?.notes.write_to(antialiased, warnings);
         Ok(())
     })
 }
@@ -284,7 +284,7 @@ pub unsafe extern "C" fn ashsplat_renderer_new(
         let context = borrowed(context, "context")?;
         give(renderer, "renderer", || {
             Renderer::new(&context.0)
-                .map(|renderer| AshsplatRenderer(renderer, Scratch::new(), Kept::default()))
+                .map(|renderer| AshsplatRenderer(renderer, Scratch::new(), RecordingCache::default()))
         })
     })
 }

@@ -34,7 +34,7 @@ const FIELDS: [(&str, &str); 5] = [
 ];
 
 /// Rewrites a message with C names.
-pub(super) fn said_in_c(error: Error) -> String {
+pub(super) fn message_in_c(error: Error) -> String {
     let error = match error {
         Error::Argument { what, problem } if what == "training steps" => {
             let of_all = problem.starts_with("are ");
@@ -47,8 +47,8 @@ pub(super) fn said_in_c(error: Error) -> String {
         other => other,
     };
     // A field of a reservation.
-    let said = error.to_string().replace("Reservation::", "AshsplatReservation.");
-    CALLS.iter().fold(said, |said, (rust, c)| said.replace(rust, c))
+    let message = error.to_string().replace("Reservation::", "AshsplatReservation.");
+    CALLS.iter().fold(message, |message, (rust, c)| message.replace(rust, c))
 }
 
 /// Rewrites an error of a frame with the parameters' names in C. Most fields have the same name in both languages. In C a pose
@@ -73,7 +73,7 @@ pub(super) fn frame_in_c(error: Error) -> Error {
             let problem = problem.replace("views[", "frames[");
             let problem = ["adopted for ", ", not for "]
                 .into_iter()
-                .fold(problem, |said, words| said.replace(words, &format!("{words}AshsplatImageUse_")));
+                .fold(problem, |message, words| message.replace(words, &format!("{words}AshsplatImageUse_")));
             Error::argument(named(&what), problem)
         }
         Error::TooLarge { what, needed, unit, limit, limit_name } => {

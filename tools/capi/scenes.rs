@@ -1,7 +1,7 @@
 //! Scenes that a host makes, changes and owns, and how a frame draws each, in C.
 
 use super::*;
-use crate::kept::{List, collected};
+use crate::recording_cache::{List, collected};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Gaussians, Inside, MAX_CUT_OUTS, Volume};
 use ashsplat::vk::Buffer;
@@ -91,20 +91,24 @@ impl AshsplatCutOut {
 ///
 /// # Safety
 /// The frame is valid with all that it points to; masks meet the requirements of [`Buffer::adopt`].
-pub(super) unsafe fn keep(frame: &AshsplatRecordedFrame, context: &Context, kept: &mut Kept) -> Result<()> {
+pub(super) unsafe fn keep(
+    frame: &AshsplatRecordedFrame,
+    context: &Context,
+    cache: &mut RecordingCache,
+) -> Result<()> {
     // SAFETY: as promised.
     unsafe {
         for (place, placed) in read_all(frame.scenes, frame.scene_count, "scenes")?.enumerate() {
             let settings = settings_of(&placed?, place)?;
             if let Some(mask) = settings.and_then(|settings| settings.selection.as_ref()) {
                 let name = format_args!("scenes[{place}].settings.selection");
-                kept.adopt(context, *mask).map_err(named(name))?;
+                cache.adopt(context, *mask).map_err(named(name))?;
             }
         }
         for (place, update) in read_all(frame.updates, frame.update_count, "updates")?.enumerate() {
             let host = read(update?.gaussians, "gaussians");
             let copied =
-                host.and_then(|host| copy_into(kept.next_copy(), &host).map_err(within("gaussians")));
+                host.and_then(|host| copy_into(cache.next_copy(), &host).map_err(within("gaussians")));
             copied.map_err(within(format_args!("updates[{place}]")))?;
         }
     }
@@ -124,7 +128,7 @@ unsafe fn settings_of(placed: &AshsplatPlaced, place: usize) -> Result<Option<As
 /// The same as for [`keep`], which has already adopted the masks.
 pub(super) unsafe fn scenes<'b>(
     frame: &AshsplatRecordedFrame,
-    (scratch, kept): (&'b Scratch, &'b Kept),
+    (scratch, cache): (&'b Scratch, &'b RecordingCache),
 ) -> Result<List<'b, Placed<'b>>> {
     let convert = |(place, placed): (usize, Result<AshsplatPlaced>)| {
         let (placed, in_scene) = (placed?, |error| within(format_args!("scenes[{place}]"))(error));
@@ -133,7 +137,7 @@ pub(super) unsafe fn scenes<'b>(
             let scene = &borrowed(placed.scene, "scene").map_err(in_scene)?.scene;
             let previous_pose = read_if(placed.previous_pose, "previous_pose").map_err(in_scene)?;
             let settings = match settings_of(&placed, place)? {
-                Some(settings) => converted(&settings, place, (scratch, kept))?,
+                Some(settings) => converted(&settings, place, (scratch, cache))?,
                 None => SceneSettings::default(),
             };
             let previous_pose = previous_pose.as_ref().map(AshsplatPose::pose);
@@ -152,7 +156,7 @@ pub(super) unsafe fn scenes<'b>(
 unsafe fn converted<'b>(
     settings: &AshsplatSceneSettings,
     place: usize,
-    (scratch, kept): (&'b Scratch, &'b Kept),
+    (scratch, cache): (&'b Scratch, &'b RecordingCache),
 ) -> Result<SceneSettings<'b>> {
     let count = settings.cut_out_count as usize;
     // Checked before that many are read.
@@ -168,7 +172,7 @@ unsafe fn converted<'b>(
     // SAFETY: as promised.
     let (cut_outs, mask) = unsafe {
         let cut_outs = read_all(settings.cut_outs, settings.cut_out_count, "cut_outs");
-        (cut_outs.map_err(in_settings)?, settings.selection.as_ref().and_then(|mask| kept.mask(mask)))
+        (cut_outs.map_err(in_settings)?, settings.selection.as_ref().and_then(|mask| cache.mask(mask)))
     };
     let (color, share) = (settings.selection_color, settings.selection_share);
     Ok(SceneSettings {

@@ -128,7 +128,7 @@ pub unsafe extern "C" fn ashsplat_slot_pixels(
     buffer: *mut u64,
     offset: *mut u64,
 ) -> AshsplatStatus {
-    guarded!({ tell(&borrowed_mut(renderer, "renderer")?.0.slot_pixels(slot)?, buffer, offset) })
+    guarded!({ locate(&borrowed_mut(renderer, "renderer")?.0.slot_pixels(slot)?, buffer, offset) })
 }
 
 /// The VkBuffer with the sum of weights / z (AshsplatRenderSettings), and the byte offset in it: a float for
@@ -143,12 +143,12 @@ pub unsafe extern "C" fn ashsplat_slot_inverse_depth(
     buffer: *mut u64,
     offset: *mut u64,
 ) -> AshsplatStatus {
-    guarded!({ tell(&borrowed_mut(renderer, "renderer")?.0.slot_inverse_depth(slot)?, buffer, offset) })
+    guarded!({ locate(&borrowed_mut(renderer, "renderer")?.0.slot_inverse_depth(slot)?, buffer, offset) })
 }
 
 /// # Safety
 /// Both pointers are null or valid for a write.
-unsafe fn tell(found: &Buffer, buffer: *mut u64, offset: *mut u64) -> Result<()> {
+unsafe fn locate(found: &Buffer, buffer: *mut u64, offset: *mut u64) -> Result<()> {
     let (raw, bytes) = found.handle();
     // SAFETY: as promised.
     unsafe {

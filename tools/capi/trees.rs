@@ -250,7 +250,7 @@ pub unsafe extern "C" fn ashsplat_tile_notes(
     warnings: *mut *const c_char,
 ) -> AshsplatStatus {
     guarded!({
-        borrowed(of, "of")?.1.tell(antialiased, warnings);
+        borrowed(of, "of")?.1.write_to(antialiased, warnings);
         Ok(())
     })
 }

@@ -15,11 +15,11 @@
 
 mod answers;
 mod commands;
-mod held;
 mod loader;
 mod machine;
 mod memory;
 mod queues;
 mod state;
+mod submissions;
 
 pub use machine::{FORGETTING, MACHINES, Machine, VARIABLE};

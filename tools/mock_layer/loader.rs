@@ -1,7 +1,7 @@
 //! The interface between loader and layer (vk_layer.h), and the tables of functions.
 
-use super::held::Want;
 use super::state::{Callbacks, DeviceState, InstanceState, SetLoaderData};
+use super::submissions::Wait;
 use super::{answers, commands, memory, queues};
 use ash::vk;
 use std::ffi::{CStr, c_char, c_void};
@@ -148,7 +148,7 @@ unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: Callback
     if device != vk::Device::null()
         && let Some(state) = DeviceState::remove(device)
     {
-        state.ask(Want::All);
+        state.start_needed_by(Wait::All);
         // SAFETY: the caller's arguments.
         unsafe { (state.v10.destroy_device)(device, callbacks) }
     }
@@ -156,11 +156,11 @@ unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: Callback
 
 /// Searches a list of `PFN_name => function;`. A name may have the ending of the extension from which the function came.
 macro_rules! functions {
-    ($asked:expr; $($kind:ident => $function:expr;)*) => {{
-        let asked = $asked.to_str().unwrap_or_default();
+    ($requested:expr; $($kind:ident => $function:expr;)*) => {{
+        let requested = $requested.to_str().unwrap_or_default();
         $(
             let name = stringify!($kind).trim_start_matches("PFN_");
-            if asked == name || asked.strip_suffix("KHR") == Some(name) {
+            if requested == name || requested.strip_suffix("KHR") == Some(name) {
                 let function: vk::$kind = $function;
                 // SAFETY: a function pointer becomes another; the caller casts it back, according to the name.
                 return Some(unsafe { std::mem::transmute::<vk::$kind, unsafe extern "system" fn()>(function) });
@@ -243,8 +243,8 @@ unsafe extern "system" fn get_instance_proc_addr(
     name: *const c_char,
 ) -> vk::PFN_vkVoidFunction {
     // SAFETY: the caller's name is a C string.
-    let asked = unsafe { CStr::from_ptr(name) };
-    let own = of_instance(asked).or_else(|| of_device(asked));
+    let requested = unsafe { CStr::from_ptr(name) };
+    let own = of_instance(requested).or_else(|| of_device(requested));
     if instance == vk::Instance::null() {
         return own;
     }
@@ -259,6 +259,6 @@ unsafe extern "system" fn get_device_proc_addr(
     name: *const c_char,
 ) -> vk::PFN_vkVoidFunction {
     // SAFETY: the caller's name is a C string; the arguments are passed on.
-    let (asked, next) = unsafe { (CStr::from_ptr(name), (DeviceState::of(device).next)(device, name)) };
-    next.and(of_device(asked).or(next))
+    let (requested, next) = unsafe { (CStr::from_ptr(name), (DeviceState::of(device).next)(device, name)) };
+    next.and(of_device(requested).or(next))
 }

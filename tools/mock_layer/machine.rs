@@ -25,7 +25,7 @@ pub const FORGETTING: &str = "ASHSPLAT_MOCK_FORGETS_WAITS";
 
 /// Which queues are late, those for copies or the others. A machine with one family has no late queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Late {
+pub(crate) enum LateQueues {
     Copies,
     Others,
 }
@@ -40,7 +40,7 @@ pub struct Machine {
     pub(crate) types: &'static [Type],
     pub(crate) families: &'static [vk::QueueFlags],
     /// Queues whose submissions are held back until needed.
-    pub(crate) late: Late,
+    pub(crate) late: LateQueues,
     /// True if the limits are the least that the engine accepts, mostly the specification's minimum.
     pub(crate) small: bool,
 }
@@ -63,7 +63,7 @@ const DISCRETE: Machine = Machine {
     heaps: &CARD,
     types: &CARD_TYPES,
     families: &[ALL],
-    late: Late::Copies,
+    late: LateQueues::Copies,
     small: false,
 };
 
@@ -103,7 +103,7 @@ pub const MACHINES: &[Machine] = &[
     // possible.
     QUEUES,
     // The same, but submissions to the other queues run as late as possible.
-    Machine { name: "transfer-queue-main-late", late: Late::Others, ..QUEUES },
+    Machine { name: "transfer-queue-main-late", late: LateQueues::Others, ..QUEUES },
     // Workgroups of 256, 16 KiB of shared memory, 128 bytes of push constants.
     Machine { name: "small-limits", small: true, ..DISCRETE },
 ];
@@ -118,7 +118,7 @@ impl Machine {
     ///
     /// # Panics
     /// For an unknown name: a test without a machine would prove nothing.
-    pub(crate) fn asked() -> &'static Machine {
+    pub(crate) fn requested() -> &'static Machine {
         let name = std::env::var(VARIABLE).unwrap_or_default();
         Self::of(&name).unwrap_or_else(|| {
             let names: Vec<_> = MACHINES.iter().map(|machine| machine.name).collect();
@@ -139,7 +139,7 @@ impl Machine {
     /// True if submissions to queues of this family are held back until needed.
     pub(crate) fn holds(&self, family: u32) -> bool {
         self.families.contains(&vk::QueueFlags::TRANSFER)
-            && self.copies(family) == (self.late == Late::Copies)
+            && self.copies(family) == (self.late == LateQueues::Copies)
     }
 
     /// True if submissions to queues of this family ignore their waits, by [`FORGETTING`].
@@ -173,14 +173,14 @@ impl Machine {
         }
         let sizes = limits.max_compute_work_group_size;
         limits.max_compute_work_group_size = [sizes[0].min(256), sizes[1].min(256), sizes[2].min(64)];
-        let least = |limit: &mut u32, least: u32| *limit = (*limit).min(least);
-        least(&mut limits.max_compute_work_group_invocations, 256);
-        least(&mut limits.max_compute_shared_memory_size, 16 << 10);
-        least(&mut limits.max_push_constants_size, 128);
-        least(&mut limits.max_storage_buffer_range, 1 << 27);
-        least(&mut limits.max_uniform_buffer_range, 16 << 10);
-        least(&mut limits.max_texel_buffer_elements, 1 << 16);
-        least(&mut limits.max_memory_allocation_count, 4096);
+        let cap = |limit: &mut u32, cap: u32| *limit = (*limit).min(cap);
+        cap(&mut limits.max_compute_work_group_invocations, 256);
+        cap(&mut limits.max_compute_shared_memory_size, 16 << 10);
+        cap(&mut limits.max_push_constants_size, 128);
+        cap(&mut limits.max_storage_buffer_range, 1 << 27);
+        cap(&mut limits.max_uniform_buffer_range, 16 << 10);
+        cap(&mut limits.max_texel_buffer_elements, 1 << 16);
+        cap(&mut limits.max_memory_allocation_count, 4096);
         limits.max_compute_work_group_count = limits.max_compute_work_group_count.map(|n| n.min(65_535));
         let coarse = |alignment: &mut u64| *alignment = (*alignment).max(256);
         coarse(&mut limits.min_storage_buffer_offset_alignment);

@@ -85,12 +85,12 @@ fn allow(state: &DeviceState, requirements: &mut vk::MemoryRequirements) {
 /// Defines queries of memory requirements. A row has the function's name, the types of its input and output, the driver's
 /// function, and the output's field with the requirements.
 macro_rules! requirements {
-    ($($name:ident($asked:ty) -> $written:ty, $version:ident.$next:ident, $($place:ident)?;)*) => {$(
-        pub unsafe extern "system" fn $name(device: vk::Device, asked: $asked, written: *mut $written) {
+    ($($name:ident($requested:ty) -> $written:ty, $version:ident.$next:ident, $($place:ident)?;)*) => {$(
+        pub unsafe extern "system" fn $name(device: vk::Device, requested: $requested, written: *mut $written) {
             let state = DeviceState::of(device);
             // SAFETY: the caller's arguments; the struct is written by the call.
             unsafe {
-                (state.$version.$next)(device, asked, written);
+                (state.$version.$next)(device, requested, written);
                 allow(&state, &mut (*written)$(.$place)?);
             }
         }
@@ -118,7 +118,7 @@ macro_rules! exclusive {
 /// Defines functions that create a resource, and queries about one that does not exist yet. A row has the names of both
 /// functions, their descriptions, and the driver's functions.
 macro_rules! resources {
-    ($($create:ident($info:ident) -> $object:ident, $query:ident($asked:ident), $next:ident;)*) => {$(
+    ($($create:ident($info:ident) -> $object:ident, $query:ident($requested:ident), $next:ident;)*) => {$(
         pub unsafe extern "system" fn $create(
             device: vk::Device,
             info: *const vk::$info<'_>,
@@ -134,7 +134,7 @@ macro_rules! resources {
 
         pub unsafe extern "system" fn $query(
             device: vk::Device,
-            info: *const vk::$asked<'_>,
+            info: *const vk::$requested<'_>,
             requirements: *mut vk::MemoryRequirements2<'_>,
         ) {
             let state = DeviceState::of(device);

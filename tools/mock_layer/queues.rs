@@ -1,23 +1,23 @@
 //! Queues and semaphores: the machine's queues over the driver's only one, and the host's waits for them.
 //!
-//! Some queues' submissions are held back until needed ([`super::held`]). This reveals missing semaphores, and memory that the
+//! Some queues' submissions are held back until needed ([`super::submissions`]). This reveals missing semaphores, and memory that the
 //! host accesses too early, although the driver's queue runs everything in order.
 
-use super::held::{Held, Place, Queue, Submissions, Want};
 use super::state::{Callbacks, DeviceState, in_chain, passed_on, slice};
+use super::submissions::{Queue, QueueIndex, Submission, Submissions, Wait};
 use ash::vk::{self, Handle};
 
 impl Submissions {
     /// Submits all submissions that may start now.
-    pub fn go_on(&mut self, state: &DeviceState) -> vk::Result {
-        while let Some(held) = self.next() {
+    pub fn start_ready(&mut self, state: &DeviceState) -> vk::Result {
+        while let Some(submission) = self.next() {
             let info = [vk::SubmitInfo2::default()
-                .wait_semaphore_infos(&held.waits)
-                .command_buffer_infos(&held.commands)
-                .signal_semaphore_infos(&held.signals)];
+                .wait_semaphore_infos(&submission.waits)
+                .command_buffer_infos(&submission.commands)
+                .signal_semaphore_infos(&submission.signals)];
             // SAFETY: the program's submission, whose objects live until it is done; the lock gives the queue to this
             // thread.
-            let result = unsafe { (state.v13.queue_submit2)(self.queue, 1, info.as_ptr(), held.fence) };
+            let result = unsafe { (state.v13.queue_submit2)(self.queue, 1, info.as_ptr(), submission.fence) };
             if result != vk::Result::SUCCESS {
                 return result;
             }
@@ -25,18 +25,18 @@ impl Submissions {
         vk::Result::SUCCESS
     }
 
-    /// Same as [`Self::go_on`], but for a single wait of the host.
-    fn go_on_for(&mut self, state: &DeviceState, want: Want) -> vk::Result {
-        self.wants.push(want);
-        let result = self.go_on(state);
-        self.wants.pop();
+    /// Same as [`Self::start_ready`], but for a single wait of the host.
+    fn start_for(&mut self, state: &DeviceState, host_wait: Wait) -> vk::Result {
+        self.host_waits.push(host_wait);
+        let result = self.start_ready(state);
+        self.host_waits.pop();
         result
     }
 
     /// Starts all submissions of a queue or of the device. Fails if one waits for a signal that was never submitted.
-    fn finish(&mut self, state: &DeviceState, place: Option<Place>) -> vk::Result {
-        let result = self.go_on_for(state, place.map_or(Want::All, Want::Queue));
-        if result == vk::Result::SUCCESS && self.has(place) {
+    fn finish(&mut self, state: &DeviceState, index: Option<QueueIndex>) -> vk::Result {
+        let result = self.start_for(state, index.map_or(Wait::All, Wait::Queue));
+        if result == vk::Result::SUCCESS && self.has(index) {
             eprintln!(
                 "mock layer: the host waits for submissions that wait for a semaphore which nothing signals"
             );
@@ -46,53 +46,53 @@ impl Submissions {
     }
 
     /// Adds a submission of the program.
-    fn add(&mut self, state: &DeviceState, place: Place, mut held: Held) {
-        (held.place, held.late) = (place, state.machine.holds(place.0));
-        if state.machine.forgets(place.0) {
-            held.waits.clear();
+    fn add(&mut self, state: &DeviceState, index: QueueIndex, mut submission: Submission) {
+        (submission.index, submission.is_late) = (index, state.machine.holds(index.0));
+        if state.machine.forgets(index.0) {
+            submission.waits.clear();
         }
         // Values of binary semaphores have no meaning.
-        for of in held.waits.iter_mut().chain(&mut held.signals) {
+        for of in submission.waits.iter_mut().chain(&mut submission.signals) {
             of.value = self.reached(of.semaphore).map_or(0, |_| of.value);
         }
-        self.held.push(held);
+        self.pending.push(submission);
     }
 }
 
 impl DeviceState {
     /// Waits for the driver on a host thread. Submissions of other threads take its wait into account.
-    pub fn wait(&self, wants: &[Want], wait: impl FnOnce() -> vk::Result) -> vk::Result {
+    pub fn wait(&self, host_waits: &[Wait], wait: impl FnOnce() -> vk::Result) -> vk::Result {
         let mut submissions = self.submissions();
-        submissions.wants.extend(wants);
-        let mut result = submissions.go_on(self);
+        submissions.host_waits.extend(host_waits);
+        let mut result = submissions.start_ready(self);
         drop(submissions);
         if result == vk::Result::SUCCESS {
             result = wait();
         }
         let mut submissions = self.submissions();
-        for want in wants {
-            if let Some(at) = submissions.wants.iter().position(|of| of == want) {
-                submissions.wants.swap_remove(at);
+        for host_wait in host_waits {
+            if let Some(at) = submissions.host_waits.iter().position(|of| of == host_wait) {
+                submissions.host_waits.swap_remove(at);
             }
         }
         result
     }
 
     /// Submits what a query of the host needs.
-    pub fn ask(&self, want: Want) {
-        let _ = self.submissions().go_on_for(self, want);
+    pub fn start_needed_by(&self, host_wait: Wait) {
+        let _ = self.submissions().start_for(self, host_wait);
     }
 
     /// Submits what the next value of a timeline semaphore needs.
-    fn ask_for_next(&self, semaphore: vk::Semaphore) {
+    fn start_next_of(&self, semaphore: vk::Semaphore) {
         let reached = self.submissions().reached(semaphore);
-        self.ask(Want::Point((semaphore, reached.unwrap_or_default() + 1)));
+        self.start_needed_by(Wait::Semaphore((semaphore, reached.unwrap_or_default() + 1)));
     }
 }
 
-fn place_of(queue: vk::Queue) -> Place {
+fn index_of(queue: vk::Queue) -> QueueIndex {
     // SAFETY: handles of this layer's queues are addresses of its own objects, which live as long as the device.
-    unsafe { (*(queue.as_raw() as usize as *const Queue)).place }
+    unsafe { (*(queue.as_raw() as usize as *const Queue)).index }
 }
 
 pub unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, queue: *mut vk::Queue) {
@@ -100,8 +100,8 @@ pub unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, q
     let mut submissions = state.submissions();
     // SAFETY: a device begins with the loader's table, which its queues share.
     let table = unsafe { *(device.as_raw() as usize as *const usize) };
-    let place = (family, index);
-    let found = submissions.queues.entry(place).or_insert_with(|| Box::new(Queue { table, place }));
+    let index = (family, index);
+    let found = submissions.queues.entry(index).or_insert_with(|| Box::new(Queue { table, index }));
     // SAFETY: the caller's location for a handle.
     unsafe { *queue = vk::Queue::from_raw((&raw mut **found) as usize as u64) }
 }
@@ -116,7 +116,7 @@ pub unsafe extern "system" fn get2(
 }
 
 /// Converts a submission of the older call. Its chain may hold values of timeline semaphores.
-unsafe fn older(info: &vk::SubmitInfo<'_>) -> Held {
+unsafe fn older(info: &vk::SubmitInfo<'_>) -> Submission {
     // SAFETY: the caller's arrays have these lengths.
     unsafe {
         let (mut wait_values, mut signal_values): (&[u64], &[u64]) = (&[], &[]);
@@ -138,17 +138,17 @@ unsafe fn older(info: &vk::SubmitInfo<'_>) -> Held {
         let commands = slice(info.p_command_buffers, info.command_buffer_count).iter();
         let signals = slice(info.p_signal_semaphores, info.signal_semaphore_count).iter().enumerate();
         let all = vk::PipelineStageFlags2::ALL_COMMANDS;
-        Held {
+        Submission {
             waits: waits.map(|(at, &of)| semaphore(wait_values, at, of, stage(at))).collect(),
             commands: commands.map(buffer).collect(),
             signals: signals.map(|(at, &of)| semaphore(signal_values, at, of, all)).collect(),
-            ..Held::default()
+            ..Submission::default()
         }
     }
 }
 
 /// Copies the lists of a submission; the copies hold no pointers.
-unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Held {
+unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Submission {
     let semaphore = |from: &vk::SemaphoreSubmitInfo<'_>| {
         vk::SemaphoreSubmitInfo::default()
             .semaphore(from.semaphore)
@@ -163,27 +163,27 @@ unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Held {
         let waits = slice(info.p_wait_semaphore_infos, info.wait_semaphore_info_count);
         let commands = slice(info.p_command_buffer_infos, info.command_buffer_info_count);
         let signals = slice(info.p_signal_semaphore_infos, info.signal_semaphore_info_count);
-        Held {
+        Submission {
             waits: waits.iter().map(semaphore).collect(),
             commands: commands.iter().map(buffer).collect(),
             signals: signals.iter().map(semaphore).collect(),
-            ..Held::default()
+            ..Submission::default()
         }
     }
 }
 
 /// Adds the submissions of one call; the fence belongs to the last.
-fn take(queue: vk::Queue, mut all: Vec<Held>, fence: vk::Fence) -> vk::Result {
+fn take(queue: vk::Queue, mut all: Vec<Submission>, fence: vk::Fence) -> vk::Result {
     let state = DeviceState::of(queue);
     if fence != vk::Fence::null() && all.is_empty() {
-        all.push(Held::default());
+        all.push(Submission::default());
     }
     if let Some(last) = all.last_mut() {
         last.fence = fence;
     }
     let mut submissions = state.submissions();
-    all.into_iter().for_each(|held| submissions.add(&state, place_of(queue), held));
-    submissions.go_on(&state)
+    all.into_iter().for_each(|submission| submissions.add(&state, index_of(queue), submission));
+    submissions.start_ready(&state)
 }
 
 pub unsafe extern "system" fn submit(
@@ -211,7 +211,7 @@ pub unsafe extern "system" fn submit2(
 pub unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    match submissions.finish(&state, Some(place_of(queue))) {
+    match submissions.finish(&state, Some(index_of(queue))) {
         // SAFETY: the lock gives the driver's queue to this thread.
         vk::Result::SUCCESS => unsafe { (state.v10.queue_wait_idle)(submissions.queue) },
         failure => failure,
@@ -231,7 +231,7 @@ pub unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result
 pub unsafe extern "system" fn present(queue: vk::Queue, info: *const vk::PresentInfoKHR<'_>) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    match submissions.go_on_for(&state, Want::All) {
+    match submissions.start_for(&state, Wait::All) {
         // SAFETY: as above.
         vk::Result::SUCCESS => unsafe { (state.swapchain.queue_present_khr)(submissions.queue, info) },
         failure => failure,
@@ -247,22 +247,23 @@ pub unsafe extern "system" fn wait_for_fences(
 ) -> vk::Result {
     let state = DeviceState::of(device);
     // SAFETY: the caller's arguments.
-    let wants: Vec<_> = unsafe { slice(fences, count).iter().map(|&fence| Want::Fence(fence)).collect() };
+    let host_waits: Vec<_> =
+        unsafe { slice(fences, count).iter().map(|&fence| Wait::Fence(fence)).collect() };
     // SAFETY: as above.
-    state.wait(&wants, || unsafe { (state.v10.wait_for_fences)(device, count, fences, all, timeout) })
+    state.wait(&host_waits, || unsafe { (state.v10.wait_for_fences)(device, count, fences, all, timeout) })
 }
 
 passed_on! {
     fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result,
-        v10.get_fence_status, |state| state.ask(Want::Fence(fence));
+        v10.get_fence_status, |state| state.start_needed_by(Wait::Fence(fence));
     // The layer does not know which submission sets the event, so it starts all.
     event_status(device: vk::Device, event: vk::Event) -> vk::Result,
-        v10.get_event_status, |state| state.ask(Want::All);
+        v10.get_event_status, |state| state.start_needed_by(Wait::All);
     destroy_semaphore(device: vk::Device, semaphore: vk::Semaphore, callbacks: Callbacks<'_>),
         v10.destroy_semaphore, |state| state.submissions().timelines.remove(&semaphore);
     // Each query starts what the next value needs, so that a polling host makes progress.
     semaphore_value(device: vk::Device, semaphore: vk::Semaphore, value: *mut u64) -> vk::Result,
-        v12.get_semaphore_counter_value, |state| state.ask_for_next(semaphore);
+        v12.get_semaphore_counter_value, |state| state.start_next_of(semaphore);
 }
 
 /// A pool of the driver's only family.
@@ -312,7 +313,7 @@ pub unsafe extern "system" fn signal_semaphore(
     }
     let mut submissions = state.submissions();
     submissions.signalled(point);
-    submissions.go_on(&state)
+    submissions.start_ready(&state)
 }
 
 pub unsafe extern "system" fn wait_semaphores(
@@ -322,13 +323,13 @@ pub unsafe extern "system" fn wait_semaphores(
 ) -> vk::Result {
     let state = DeviceState::of(device);
     // SAFETY: the caller's arguments.
-    let wants: Vec<_> = unsafe {
+    let host_waits: Vec<_> = unsafe {
         let semaphores = slice((*info).p_semaphores, (*info).semaphore_count).iter();
         let values = slice((*info).p_values, (*info).semaphore_count).iter();
-        semaphores.zip(values).map(|(&semaphore, &value)| Want::Point((semaphore, value))).collect()
+        semaphores.zip(values).map(|(&semaphore, &value)| Wait::Semaphore((semaphore, value))).collect()
     };
     // SAFETY: as above.
-    state.wait(&wants, || unsafe { (state.v12.wait_semaphores)(device, info, timeout) })
+    state.wait(&host_waits, || unsafe { (state.v12.wait_semaphores)(device, info, timeout) })
 }
 
 /// Defines functions of a queue that pass the driver's queue on instead, under the lock.

@@ -1,7 +1,7 @@
 //! State of instances and devices, and helpers for the arguments of the layer's functions.
 
-use super::held::Submissions;
 use super::machine::Machine;
+use super::submissions::Submissions;
 use ash::vk::{self, Handle};
 use std::collections::{BTreeMap, HashMap};
 use std::ffi::c_void;
@@ -57,7 +57,7 @@ impl InstanceState {
         let load = |name: &std::ffi::CStr| unsafe { pointer(next(instance, name.as_ptr())) };
         let state = Self {
             instance,
-            machine: Machine::asked(),
+            machine: Machine::requested(),
             next,
             functions: ash::InstanceFnV1_0::load(load),
             v11: ash::InstanceFnV1_1::load(load),

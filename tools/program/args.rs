@@ -117,7 +117,7 @@ impl DeviceArguments {
     /// Prints the messages of the validation layer, if it was requested.
     pub fn report_validation(&self, context: &Context) {
         for message in context.validation_messages() {
-            tell!("validation: {message}");
+            errln!("validation: {message}");
         }
     }
 }

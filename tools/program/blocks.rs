@@ -79,7 +79,7 @@ pub struct Coarse {
 pub struct Block {
     /// Number of the block, from 1.
     pub number: u32,
-    pub core: Core,
+    pub core: CoreBox,
     /// Number of the coarse model's Gaussians in the core.
     pub gaussians: u64,
     /// Number of the coarse model's Gaussians in core and margin, with which training begins.
@@ -102,21 +102,21 @@ pub struct Block {
 /// not.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Core {
+pub struct CoreBox {
     pub min: [Option<f64>; 3],
     pub max: [Option<f64>; 3],
 }
 
-impl Core {
+impl CoreBox {
     /// The core of a box in the world coordinates of a frame.
-    pub fn of(bounds: Bounds, frame: &WorldFrame) -> Core {
+    pub fn of(bounds: Bounds, frame: &WorldFrame) -> CoreBox {
         // Converts through the shortest decimal number, so that 0.1 stays 0.1.
         let decimal = |side: f32| side.to_string().parse().unwrap_or(f64::from(side));
         let sides = |corner: Vec3| {
             let source = frame.origin + frame.unit * DVec3::from_array(corner.to_array().map(decimal));
             source.to_array().map(|side| Some(side).filter(|side| side.is_finite()))
         };
-        Core { min: sides(bounds.min), max: sides(bounds.max) }
+        CoreBox { min: sides(bounds.min), max: sides(bounds.max) }
     }
 
     /// The corners, source coordinates; infinite for unbounded sides.
@@ -334,9 +334,9 @@ mod tests {
             (WorldFrame { origin: DVec3::splat(5e6), unit: 1.0 }, "[4999999.9,null,"),
             (WorldFrame { origin: DVec3::ZERO, unit: 0.01 }, "[-0.001,null,"),
         ] {
-            let text = serde_json::to_string(&Core::of(Bounds { min, max }, &frame)).expect("JSON");
+            let text = serde_json::to_string(&CoreBox::of(Bounds { min, max }, &frame)).expect("JSON");
             assert!(text.contains(start), "{text}");
-            let read: Core = serde_json::from_str(&text).expect("a core");
+            let read: CoreBox = serde_json::from_str(&text).expect("a core");
             let read = read.bounds(&frame);
             assert_eq!((read.min, read.max), (min, max));
         }

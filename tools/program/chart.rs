@@ -105,9 +105,9 @@ impl Chart {
 
     /// Draws the band between the least and the most of each point (x, least, most), if they differ anywhere.
     pub fn band(&self, out: &mut String, points: &[(f64, f64, f64)], color: &str) {
-        if points.iter().any(|(_, least, most)| most > least) {
-            let above = self.places(points.iter().map(|&(x, _, most)| (x, most)));
-            let below = self.places(points.iter().rev().map(|&(x, least, _)| (x, least)));
+        if points.iter().any(|(_, min, max)| max > min) {
+            let above = self.places(points.iter().map(|&(x, _, max)| (x, max)));
+            let below = self.places(points.iter().rev().map(|&(x, min, _)| (x, min)));
             let _ = writeln!(out, "<polygon points=\"{above} {below}\" fill=\"{color}\" opacity=\".18\"/>");
         }
     }

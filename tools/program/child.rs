@@ -16,7 +16,7 @@ pub const INSTALL_FFMPEG: &str = "`apt install ffmpeg` on Debian and Ubuntu, `br
 const POLL: Duration = Duration::from_millis(20);
 /// Checks of `stop` after a program failed: Ctrl-C on a terminal also ends the program, perhaps before this one
 /// notices.
-const LAST_LOOKS: u32 = 10;
+const LAST_CHECKS: u32 = 10;
 /// Number of last output lines that are kept.
 const TAIL: usize = 40;
 
@@ -39,7 +39,7 @@ impl Running {
             match self.0.try_wait()? {
                 Some(status) if status.success() => return Ok(Some(status)),
                 Some(status) => {
-                    (0..LAST_LOOKS).take_while(|_| !stopped()).for_each(|_| pause());
+                    (0..LAST_CHECKS).take_while(|_| !stopped()).for_each(|_| pause());
                     return Ok((!stopped()).then_some(status));
                 }
                 None if stopped() => return Ok(None),
@@ -66,13 +66,13 @@ pub fn not_started(program: &str, error: &std::io::Error) -> String {
 }
 
 /// Result of a program.
-pub struct Ended {
+pub struct LoggedOutput {
     pub status: ExitStatus,
     /// Last lines of its output, without empty ones.
     pub tail: Vec<String>,
 }
 
-/// Runs a program to its end. All of its output is appended to the file `log`, and each line is passed to `heard`.
+/// Runs a program to its end. All of its output is appended to the file `log`, and each line is passed to `on_line`.
 ///
 /// # Errors
 /// [`Error::Interrupted`] if `stop` was raised; the program has ended then. [`Error::Io`] if the program cannot be
@@ -81,8 +81,8 @@ pub fn run_logged(
     mut command: Command,
     log: &Path,
     stop: &AtomicBool,
-    heard: &(dyn Fn(&str) + Sync),
-) -> Result<Ended> {
+    on_line: &(dyn Fn(&str) + Sync),
+) -> Result<LoggedOutput> {
     let io = |e| Error::io(log, "write", e);
     let file = File::options().create(true).append(true).open(log).map_err(io)?;
     let (reader, writer) = std::io::pipe().map_err(io)?;
@@ -93,12 +93,12 @@ pub fn run_logged(
     drop(command);
     let mut child = Running(child);
     std::thread::scope(|scope| {
-        let reader = scope.spawn(|| copy_lines(BufReader::new(reader), file, heard));
+        let reader = scope.spawn(|| copy_lines(BufReader::new(reader), file, on_line));
         let status = child.wait(stop);
         drop(child);
         let tail = reader.join().unwrap_or_else(|_| Ok(VecDeque::new()));
         let status = status.map_err(io)?.ok_or(Error::Interrupted)?;
-        Ok(Ended { status, tail: tail.map_err(io)?.into() })
+        Ok(LoggedOutput { status, tail: tail.map_err(io)?.into() })
     })
 }
 
@@ -106,7 +106,7 @@ pub fn run_logged(
 fn copy_lines(
     mut from: impl BufRead,
     mut to: impl Write,
-    heard: &(dyn Fn(&str) + Sync),
+    on_line: &(dyn Fn(&str) + Sync),
 ) -> std::io::Result<VecDeque<String>> {
     let mut tail = VecDeque::new();
     let mut written = Ok(());
@@ -114,7 +114,7 @@ fn copy_lines(
     while from.read_until(b'\n', &mut line)? > 0 {
         written = written.and_then(|()| to.write_all(&line));
         let text = String::from_utf8_lossy(&line).trim().to_owned();
-        heard(&text);
+        on_line(&text);
         if !text.is_empty() {
             tail.push_back(text);
         }

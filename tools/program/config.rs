@@ -8,8 +8,8 @@ mod missing_points;
 mod train_overrides;
 mod unused;
 
-pub use data::{DataSettings, Outside, Split, When};
-pub use few_photos::Facts;
+pub use data::{AutoSwitch, DataSettings, Outside, Split};
+pub use few_photos::DefaultsInput;
 
 use crate::blocks::job::Job;
 use ashsplat::train::settings::TrainOption;
@@ -77,38 +77,38 @@ pub struct Settings {
 }
 
 /// The given settings, by source.
-pub struct Given {
+pub struct SettingsSources {
     file: Option<PathBuf>,
-    of_file: Table,
-    of_job: Table,
-    of_line: Table,
+    from_file: Table,
+    from_job: Table,
+    from_args: Table,
 }
 
-impl Given {
+impl SettingsSources {
     /// Reads the file, and the job that it or the command line names.
-    pub fn read(file: Option<&Path>, overrides: &Overrides) -> Result<Given> {
-        let of_file = file.map_or_else(|| Ok(Table::new()), file::table)?;
-        let mut of_line = overrides.0.clone();
+    pub fn read(file: Option<&Path>, overrides: &Overrides) -> Result<SettingsSources> {
+        let from_file = file.map_or_else(|| Ok(Table::new()), file::table)?;
+        let mut from_args = overrides.0.clone();
         // A preset is a set of defaults, which settings in the file would override.
-        let chosen = set_by_presets().find(|&key| of_file.contains_key(key));
-        if let (Some(path), Some(key), true) = (file, chosen, of_line.contains_key("preset")) {
+        let chosen = set_by_presets().find(|&key| from_file.contains_key(key));
+        if let (Some(path), Some(key), true) = (file, chosen, from_args.contains_key("preset")) {
             let problem = format!("sets {key}, which --preset would set");
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));
         }
         // A job in a file counts only if the file lacks the settings that follow from it. A dump has all of them.
-        let of_files = of_file.get("job").filter(|_| !of_file.contains_key("source_path"));
-        let job = of_line.remove("job").or(of_files.cloned());
+        let of_files = from_file.get("job").filter(|_| !from_file.contains_key("source_path"));
+        let job = from_args.remove("job").or(of_files.cloned());
         let job = job.as_ref().and_then(toml::Value::as_str);
-        let of_job = job.map_or_else(|| Ok(Table::new()), |job| Job::find(job)?.settings())?;
-        Ok(Given { file: file.map(Path::to_owned), of_file, of_job, of_line })
+        let from_job = job.map_or_else(|| Ok(Table::new()), |job| Job::find(job)?.settings())?;
+        Ok(SettingsSources { file: file.map(Path::to_owned), from_file, from_job, from_args })
     }
 
     /// Settles and checks all settings. Precedence: command line, job, file, defaults.
-    pub fn settle(&self, facts: &Facts) -> Result<Settings> {
-        let sources = [&self.of_file, &self.of_job, &self.of_line].into_iter().flatten();
+    pub fn settle(&self, input: &DefaultsInput) -> Result<Settings> {
+        let sources = [&self.from_file, &self.from_job, &self.from_args].into_iter().flatten();
         let all = sources.map(|(key, value)| (key.clone(), value.clone())).collect();
         let mut settings =
-            Settings::from_table(all, facts).map_err(|problem| Error::argument("settings", problem))?;
+            Settings::from_table(all, input).map_err(|problem| Error::argument("settings", problem))?;
         settings.train.check()?;
         settings.data.check_block()?;
         if settings.train.depth_points > 0.0 && !settings.data.depths.as_os_str().is_empty() {
@@ -120,13 +120,13 @@ impl Given {
             return Err(Error::argument("train_test_exp", problem));
         }
         let train = &mut settings.train;
-        train.sh_degree_start = train.sh_degree_start.max(facts.sh_degree).min(train.sh_degree);
+        train.sh_degree_start = train.sh_degree_start.max(input.sh_degree).min(train.sh_degree);
         Ok(settings)
     }
 
     /// True if a setting is given.
     fn has(&self, name: &str) -> bool {
-        [&self.of_file, &self.of_job, &self.of_line].iter().any(|table| table.contains_key(name))
+        [&self.from_file, &self.from_job, &self.from_args].iter().any(|table| table.contains_key(name))
     }
 }
 
@@ -144,14 +144,14 @@ fn set_by_presets() -> impl Iterator<Item = &'static str> {
 impl Settings {
     /// The settings of file and command line before data set and start are known.
     pub fn resolve(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
-        Given::read(file, overrides)?.settle(&Facts::default())
+        SettingsSources::read(file, overrides)?.settle(&DefaultsInput::default())
     }
 
     /// The settings that a run left in its folder: settings.toml, or the reference's `cfg_args`.
     pub fn of_model(folder: &Path) -> Result<Settings> {
-        let ours = folder.join(SETTINGS_FILE);
-        if ours.is_file() {
-            return Settings::resolve(Some(&ours), &Overrides::default());
+        let settings_file = folder.join(SETTINGS_FILE);
+        if settings_file.is_file() {
+            return Settings::resolve(Some(&settings_file), &Overrides::default());
         }
         let reference = folder.join(CFG_ARGS_FILE);
         match reference.try_exists() {
@@ -167,7 +167,7 @@ impl Settings {
         Settings { data, train: TrainSettings::reference() }
     }
 
-    fn from_table(mut table: Table, facts: &Facts) -> Result<Settings, String> {
+    fn from_table(mut table: Table, input: &DefaultsInput) -> Result<Settings, String> {
         let message = |e: toml::de::Error| e.message().to_owned();
         let preset = table.remove("preset").map(Preset::deserialize).transpose().map_err(message)?;
         let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
@@ -175,7 +175,7 @@ impl Settings {
             table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
         let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
         let strategy = strategy.map_err(message)?;
-        let usual = facts.defaults(preset, strategy);
+        let usual = input.defaults(preset, strategy);
         if preset.is_some() && strategy.is_some_and(|strategy| strategy != usual.strategy) {
             return Err(
                 "the strategy differs from the preset's: leave out the preset, or the strategy".into()
@@ -269,7 +269,7 @@ mod tests {
     fn a_preset_sets_defaults_and_no_more() {
         let resolved = |given: &str| {
             let overrides: Table = given.parse().expect("TOML");
-            Settings::from_table(overrides, &Facts::default())
+            Settings::from_table(overrides, &DefaultsInput::default())
         };
         for (name, preset) in
             PRESETS.into_iter().zip([Preset::Fast, Preset::Default, Preset::Quality, Preset::Reference])
@@ -328,7 +328,7 @@ mod tests {
             let matches = command.clone().try_get_matches_from(arguments).expect("accepted");
             let mut table = train_overrides::given(&matches);
             table.entry("strategy").or_insert("reference".into());
-            let settings = Settings::from_table(table, &Facts::default()).expect("settings").train;
+            let settings = Settings::from_table(table, &DefaultsInput::default()).expect("settings").train;
             assert_eq!((option.value)(&settings).to_string(), given, "{}", option.name);
             let changed = settings.values().into_iter().zip(TrainSettings::reference().values());
             assert_eq!(changed.filter(|(a, b)| a != b).count(), 1, "{}", option.name);

@@ -56,11 +56,11 @@ pub struct Evaluation {
 
 /// Further measurements of views besides PSNR and SSIM.
 #[derive(Default)]
-pub struct More<'a> {
+pub struct ExtraMeasures<'a> {
     /// Saves the pictures.
     pub pictures: Option<&'a mut Pictures>,
     /// Measures LPIPS.
-    pub lpips: Option<&'a mut Perceptual>,
+    pub lpips: Option<&'a mut LpipsNetworks>,
     /// Draws each frame a second time and measures its time.
     pub frame_times: bool,
 }
@@ -189,7 +189,7 @@ impl Pictures {
 pub fn evaluate<V: Borrow<View>>(
     views: impl Iterator<Item = Result<V>>,
     protocol: &Protocol,
-    More { mut pictures, mut lpips, frame_times }: More,
+    ExtraMeasures { mut pictures, mut lpips, frame_times }: ExtraMeasures,
     mut draw: impl FnMut(&Camera) -> Result<Frame>,
 ) -> Result<Evaluation> {
     let mut results = Vec::new();
@@ -197,7 +197,7 @@ pub fn evaluate<V: Borrow<View>>(
         let view = view?;
         let view: &View = view.borrow();
         if is_hidden(view)? {
-            tell!("warning: {}: its mask hides all of it: not measured", view.name);
+            errln!("warning: {}: its mask hides all of it: not measured", view.name);
             continue;
         }
         let index = results.len();
@@ -392,16 +392,16 @@ pub fn check_sizes(weights: &[Weights], gallery: &Gallery, chosen: &[usize], hal
 }
 
 /// LPIPS networks on the device.
-pub struct Perceptual {
+pub struct LpipsNetworks {
     networks: Vec<Lpips>,
 }
 
-impl Perceptual {
+impl LpipsNetworks {
     /// Returns `None` without weights.
-    pub fn new(context: &Context, weights: &[Weights]) -> Result<Option<Perceptual>> {
+    pub fn new(context: &Context, weights: &[Weights]) -> Result<Option<LpipsNetworks>> {
         let networks =
             weights.iter().map(|weights| Lpips::new(context, weights)).collect::<Result<Vec<_>>>()?;
-        Ok((!networks.is_empty()).then_some(Perceptual { networks }))
+        Ok((!networks.is_empty()).then_some(LpipsNetworks { networks }))
     }
 
     /// Names of the measures.

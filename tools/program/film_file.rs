@@ -11,7 +11,7 @@ use std::process::{ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Least delay of a GIF frame, hundredths of a second; browsers replace shorter ones by ten.
-const GIF_LEAST_DELAY: usize = 2;
+const GIF_MIN_DELAY: usize = 2;
 /// Speed of a GIF's choice of colours, from 1 (careful) to 30 (quick).
 const GIF_SPEED: i32 = 10;
 
@@ -129,7 +129,7 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
     // Written under a temporary name, which is removed unless the film is complete.
     let unfinished = atomic::unfinished(path)?;
     // A file instead of a pipe: no thread would read the pipe while ffmpeg runs.
-    let mut said = tempfile::tempfile().map_err(io)?;
+    let mut stderr = tempfile::tempfile().map_err(io)?;
     let first = frames.next(0)?;
     let mut command = Command::new("ffmpeg");
     command
@@ -141,7 +141,7 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
         .arg(unfinished.path())
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
-        .stderr(said.try_clone().map_err(io)?);
+        .stderr(stderr.try_clone().map_err(io)?);
     let child = command.spawn().map_err(|e| container.failure(path, not_started("ffmpeg", &e)))?;
     let mut ffmpeg = Running(child);
     let Some(mut input) = ffmpeg.0.stdin.take() else {
@@ -152,7 +152,7 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
     let status = ffmpeg.wait(frames.abandoned).map_err(io)?;
     if !status.is_some_and(|status| status.success()) {
         let mut text = String::new();
-        said.rewind().and_then(|()| said.read_to_string(&mut text)).map_err(io)?;
+        stderr.rewind().and_then(|()| stderr.read_to_string(&mut text)).map_err(io)?;
         let line = text.lines().next().unwrap_or("failed").to_owned();
         return Err(container.failure(path, format!("ffmpeg: {line}")));
     }
@@ -189,13 +189,13 @@ fn gif_frames(frames: usize, frames_per_second: usize) -> Vec<(usize, usize)> {
     let begins = |frame: usize| (200 * frame + frames_per_second) / (2 * frames_per_second);
     let mut shown: Vec<(usize, usize)> = Vec::new();
     for frame in 0..frames {
-        if shown.last().is_none_or(|&(last, _)| begins(frame) >= begins(last) + GIF_LEAST_DELAY) {
+        if shown.last().is_none_or(|&(last, _)| begins(frame) >= begins(last) + GIF_MIN_DELAY) {
             shown.push((frame, 0));
         }
     }
     let ends: Vec<usize> = shown.iter().skip(1).map(|&(next, _)| next).chain([frames]).map(begins).collect();
     for ((frame, hundredths), end) in shown.iter_mut().zip(ends) {
-        *hundredths = (end - begins(*frame)).max(GIF_LEAST_DELAY);
+        *hundredths = (end - begins(*frame)).max(GIF_MIN_DELAY);
     }
     shown
 }
@@ -212,7 +212,7 @@ mod tests {
                 let total: usize = shown.iter().map(|(_, hundredths)| hundredths).sum();
                 let tells = format!("{seconds} s at {frames_per_second} per second: {total}");
                 assert!(total.abs_diff(100 * seconds) <= 1, "{tells}");
-                assert!(shown.iter().all(|(_, hundredths)| *hundredths >= GIF_LEAST_DELAY), "{tells}");
+                assert!(shown.iter().all(|(_, hundredths)| *hundredths >= GIF_MIN_DELAY), "{tells}");
                 let all = shown.len() == seconds * frames_per_second;
                 assert!(shown.is_sorted() && (all || frames_per_second > 50), "{tells}");
             }

@@ -75,10 +75,10 @@ pub fn table(heads: &[&str], rows: &[Vec<Cell>], sum: Option<Vec<Cell>>) -> Stri
 
 /// A table of arenas and the most bytes that each ever held.
 pub fn memory(arenas: &[(&str, u64)]) -> String {
-    let most = arenas.iter().map(|(_, bytes)| *bytes).max().unwrap_or(1).max(1) as f64;
+    let max = arenas.iter().map(|(_, bytes)| *bytes).max().unwrap_or(1).max(1) as f64;
     let row = |&(name, bytes): &(&str, u64)| {
         let bytes = bytes as f64;
-        vec![Cell::Name(name.to_owned()), Cell::number(bytes / 1_048_576.0, 2), Cell::Bar(bytes / most)]
+        vec![Cell::Name(name.to_owned()), Cell::number(bytes / 1_048_576.0, 2), Cell::Bar(bytes / max)]
     };
     table(&["arena", "MiB", ""], &arenas.iter().map(row).collect::<Vec<_>>(), None)
 }
@@ -120,13 +120,13 @@ pub fn histogram(out: &mut String, name: &str, values: &[f64]) {
     for &value in values.iter().filter(|v| v.is_finite()) {
         bins[(((value - low) / step) as usize).min(BINS - 1)] += 1;
     }
-    let most = f64::from(bins.iter().copied().max().unwrap_or(1).max(1));
+    let max = f64::from(bins.iter().copied().max().unwrap_or(1).max(1));
     let _ = writeln!(
         out,
         "<svg width=\"262\" height=\"140\"><text x=\"131\" y=\"12\" text-anchor=\"middle\">{name}</text>"
     );
     for (i, &count) in bins.iter().enumerate() {
-        let height = 95.0 * f64::from(count) / most;
+        let height = 95.0 * f64::from(count) / max;
         let from = low + step * i as f64;
         let _ = writeln!(
             out,

@@ -7,14 +7,14 @@
 /// Prints a line on stdout. Unlike `println!`, a failure does not panic: a training must continue. A full disk is
 /// reported at the end, a closed pipe never.
 #[macro_export]
-macro_rules! say {
-    ($($text:tt)*) => { $crate::output::say(format_args!($($text)*)) };
+macro_rules! outln {
+    ($($text:tt)*) => { $crate::output::outln(format_args!($($text)*)) };
 }
 
 /// Prints a line on stderr.
 #[macro_export]
-macro_rules! tell {
-    ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
+macro_rules! errln {
+    ($($text:tt)*) => { $crate::output::errln(format_args!($($text)*)) };
 }
 
 pub mod appearance;

@@ -15,15 +15,15 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// Interval between checks of a folder that another process holds.
-const WAIT: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Number and interval of further tries before a folder counts as held.
-const GLANCES: u32 = 3;
-const GLANCE: Duration = Duration::from_millis(20);
+const RETRIES: u32 = 3;
+const RETRY_INTERVAL: Duration = Duration::from_millis(20);
 /// How often a folder or a lock file may vanish between its creation and its lock.
-const MOST_VANISHED: u32 = 20;
+const MAX_VANISHED: u32 = 20;
 
 /// Kind of work in a locked folder.
-pub struct Work {
+pub struct LockKind {
     /// Name of the lock file.
     pub file: &'static str,
     /// Name of the work for messages, such as "training".
@@ -33,7 +33,7 @@ pub struct Work {
 }
 
 /// The training that writes into a model folder.
-pub const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
+pub const TRAINING: LockKind = LockKind { file: ".training.lock", what: "training", option: "-m" };
 
 /// A lock on a folder, held until it is dropped.
 pub struct FolderLock {
@@ -51,64 +51,64 @@ impl FolderLock {
     /// # Errors
     /// [`Error::Input`] naming the process that holds it, unless it `waits`; [`Error::Interrupted`] if `waits` is set
     /// meanwhile; [`Error::Io`].
-    pub fn take(folder: &Path, work: &Work, waits: Option<&AtomicBool>) -> Result<Self> {
-        let (mut glances, mut reported) = (0, false);
+    pub fn take(folder: &Path, kind: &LockKind, waits: Option<&AtomicBool>) -> Result<Self> {
+        let (mut retries, mut reported) = (0, false);
         loop {
             let made = missing(folder);
-            match atomic::create_folder(folder).and_then(|()| Self::try_take(folder, work)) {
-                Ok(Try::Locked(mut lock)) => {
+            match atomic::create_folder(folder).and_then(|()| Self::try_take(folder, kind)) {
+                Ok(Attempt::Locked(mut lock)) => {
                     lock.made = made;
                     return Ok(lock);
                 }
                 // Another process that only checks the lock holds it for a moment.
-                Ok(Try::Held(_)) if glances < GLANCES || reported => {}
-                Ok(Try::Held(by)) if waits.is_some() => {
+                Ok(Attempt::Held(_)) if retries < RETRIES || reported => {}
+                Ok(Attempt::Held(holder)) if waits.is_some() => {
                     reported = true;
-                    tell!("waiting for another {}{by} that writes into {}", work.what, folder.display());
+                    errln!("waiting for another {}{holder} that writes into {}", kind.what, folder.display());
                 }
-                Ok(Try::Held(by)) => {
-                    let problem = format!("another {}{by} is writing into this folder", work.what);
-                    let remedy = format!("wait for its end, or choose another {}", work.option);
+                Ok(Attempt::Held(holder)) => {
+                    let problem = format!("another {}{holder} is writing into this folder", kind.what);
+                    let remedy = format!("wait for its end, or choose another {}", kind.option);
                     return Err(Error::input(folder, problem, remedy));
                 }
                 // The process that created the folder or the file has removed it meanwhile.
-                Err(Error::Io { source, .. }) if vanished(&source) && glances < MOST_VANISHED => {}
+                Err(Error::Io { source, .. }) if vanished(&source) && retries < MAX_VANISHED => {}
                 Err(error) => return Err(error),
             }
             waits.map_or(Ok(()), session::check)?;
-            std::thread::sleep(if glances < GLANCES { GLANCE } else { WAIT });
-            glances += 1;
+            std::thread::sleep(if retries < RETRIES { RETRY_INTERVAL } else { POLL_INTERVAL });
+            retries += 1;
         }
     }
 
-    fn try_take(folder: &Path, work: &Work) -> Result<Try> {
-        let path = folder.join(work.file);
+    fn try_take(folder: &Path, kind: &LockKind) -> Result<Attempt> {
+        let path = folder.join(kind.file);
         loop {
             let mut options = File::options();
             // The lint names methods that may wait at a pipe; opening one for reading and writing does not.
             #[allow(clippy::disallowed_methods)]
             options.read(true).write(true).create(true).truncate(false);
             let file = options.open(&path).map_err(|e| Error::io(&path, "open", e))?;
-            if let Some(tried) = Self::try_open(folder, file, work)? {
-                return Ok(tried);
+            if let Some(attempt) = Self::try_open(folder, file, kind)? {
+                return Ok(attempt);
             }
         }
     }
 
     /// Locks the open file; `None` if its last holder has removed it since.
-    fn try_open(folder: &Path, file: File, work: &Work) -> Result<Option<Try>> {
-        let path = folder.join(work.file);
+    fn try_open(folder: &Path, file: File, kind: &LockKind) -> Result<Option<Attempt>> {
+        let path = folder.join(kind.file);
         let file = Handle::from_file(file).map_err(|e| Error::io(&path, "open", e))?;
         let held = match file.as_file().try_lock() {
-            Ok(()) if Handle::from_path(&path).is_ok_and(|there| there == file) => Some(file),
+            Ok(()) if Handle::from_path(&path).is_ok_and(|current| current == file) => Some(file),
             Ok(()) => return Ok(None),
             Err(TryLockError::WouldBlock) => {
-                let by = name_in(&path).map_or_else(String::new, |holder| format!(" ({holder})"));
-                return Ok(Some(Try::Held(by)));
+                let holder = name_in(&path).map_or_else(String::new, |holder| format!(" ({holder})"));
+                return Ok(Some(Attempt::Held(holder)));
             }
             Err(TryLockError::Error(_)) => {
-                let (folder, what) = (folder.display(), work.what);
-                tell!(
+                let (folder, what) = (folder.display(), kind.what);
+                errln!(
                     "warning: {folder}: files cannot be locked here; see that no other {what} writes into it"
                 );
                 None
@@ -117,20 +117,20 @@ impl FolderLock {
         if held.is_some() {
             fs::write(name_file(&path), own_name()).map_err(|e| Error::io(&path, "write", e))?;
         }
-        Ok(Some(Try::Locked(Self { path, held, made: Vec::new() })))
+        Ok(Some(Attempt::Locked(Self { path, held, made: Vec::new() })))
     }
 }
 
 /// Result of a try.
-enum Try {
+enum Attempt {
     Locked(FolderLock),
     /// Held by another process: " (its name)", or empty if the name is unknown.
     Held(String),
 }
 
 /// The holder of a folder, in words; `None` if there is none or it cannot be determined.
-pub fn holder(folder: &Path, work: &Work) -> Option<String> {
-    let path = folder.join(work.file);
+pub fn holder(folder: &Path, kind: &LockKind) -> Option<String> {
+    let path = folder.join(kind.file);
     let (file, _) = regular_file::open(&path).ok()?;
     matches!(file.try_lock(), Err(TryLockError::WouldBlock)).then(|| name_in(&path).unwrap_or_default())
 }
@@ -178,7 +178,7 @@ impl Drop for FolderLock {
 mod tests {
     use super::*;
 
-    const WORK: Work = Work { file: ".training.lock", what: "training", option: "-m" };
+    const WORK: LockKind = LockKind { file: ".training.lock", what: "training", option: "-m" };
 
     /// The last holder leaves between another's opening and locking of the file, and a third process comes: the third
     /// has the lock.

@@ -57,7 +57,7 @@ impl LookArguments {
 
     /// The settings of the training, overridden by the file, overridden by the arguments.
     pub fn settings(&self, trained: &Settings, header: &splats::Header) -> Result<RenderSettings> {
-        let mut settings = look_of(trained, header);
+        let mut settings = render_settings_of(trained, header);
         if let Some(background) = self.background {
             settings.background = background.to_array();
         }
@@ -65,9 +65,9 @@ impl LookArguments {
         settings.antialias |= self.antialiasing;
         settings.distance_order |= self.distance_order;
         if let Some(kernel_size) = self.kernel_size {
-            if !(kernel_size > 0.0 && kernel_size <= MOST_KERNEL_SIZE) {
+            if !(kernel_size > 0.0 && kernel_size <= MAX_KERNEL_SIZE) {
                 let problem = format!(
-                    "{kernel_size} is not a positive number up to {MOST_KERNEL_SIZE}: the reference has 0.3, Mip-Splatting 0.1"
+                    "{kernel_size} is not a positive number up to {MAX_KERNEL_SIZE}: the reference has 0.3, Mip-Splatting 0.1"
                 );
                 return Err(Error::argument("--kernel-size", problem));
             }
@@ -79,14 +79,14 @@ impl LookArguments {
 }
 
 /// Largest accepted `--kernel-size`, square pixels.
-const MOST_KERNEL_SIZE: f32 = 1e4;
+const MAX_KERNEL_SIZE: f32 = 1e4;
 /// Reports what was dropped from a scene or is odd about it, and returns the scene.
 pub fn reported(path: &Path, scene: splats::Scene) -> splats::Scene {
     if scene.dropped > 0 {
-        tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
+        errln!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
     }
     for warning in &scene.warnings {
-        tell!("{}: {warning}", path.display());
+        errln!("{}: {warning}", path.display());
     }
     scene
 }
@@ -98,7 +98,7 @@ pub fn settings_of(trained: &Settings) -> RenderSettings {
 }
 
 /// The settings with which training drew the scene, by its settings and its file.
-pub fn look_of(trained: &Settings, header: &splats::Header) -> RenderSettings {
+pub fn render_settings_of(trained: &Settings, header: &splats::Header) -> RenderSettings {
     let look = settings_of(trained);
     let dilation_px2 = header.kernel_size.unwrap_or(look.dilation_px2);
     let distance_order = look.distance_order || header.distance_order;
@@ -120,8 +120,8 @@ pub fn parse_direction(text: &str) -> Result<Vec3, String> {
 }
 
 /// Returns the wanted storage of SH, otherwise the smallest that is exact.
-pub fn stored(wanted: Option<ShStorage>, gaussians: &Gaussians) -> ShStorage {
-    wanted.unwrap_or_else(|| ShStorage::lossless(gaussians))
+pub fn stored(requested: Option<ShStorage>, gaussians: &Gaussians) -> ShStorage {
+    requested.unwrap_or_else(|| ShStorage::lossless(gaussians))
 }
 
 /// Parses a storage of SH.
@@ -197,34 +197,34 @@ pub const NOTHING_SHOWN: &str =
     "no picture shows a Gaussian: do scene and cameras have the same coordinates?";
 
 /// A tree that is drawn within a budget of Gaussians. It holds the tiles of the last picture.
-pub struct Drawn {
+pub struct BudgetedTree {
     tree: Tree,
     budget: usize,
     read: ReadOptions,
-    held: BTreeMap<usize, Gaussians>,
+    loaded: BTreeMap<usize, Gaussians>,
 }
 
-impl Drawn {
-    pub fn new(tree: Tree, budget: usize, read: ReadOptions) -> Drawn {
-        Drawn { tree, budget, read, held: BTreeMap::new() }
+impl BudgetedTree {
+    pub fn new(tree: Tree, budget: usize, read: ReadOptions) -> BudgetedTree {
+        BudgetedTree { tree, budget, read, loaded: BTreeMap::new() }
     }
 
     /// The Gaussians for a camera; `None` if they are those of the last one.
-    pub fn wanted(&mut self, camera: &Camera) -> Result<Option<Gaussians>> {
+    pub fn changed_gaussians(&mut self, camera: &Camera) -> Result<Option<Gaussians>> {
         let cut = self.tree.cut(camera, self.budget);
-        if !self.held.is_empty() && self.held.keys().eq(&cut) {
+        if !self.loaded.is_empty() && self.loaded.keys().eq(&cut) {
             return Ok(None);
         }
-        self.held.retain(|tile, _| cut.contains(tile));
+        self.loaded.retain(|tile, _| cut.contains(tile));
         for tile in cut {
-            if let Entry::Vacant(place) = self.held.entry(tile) {
+            if let Entry::Vacant(place) = self.loaded.entry(tile) {
                 place.insert(self.tree.read(tile, &self.read)?.gaussians);
             }
         }
-        let sh_degree = self.held.values().map(|tile| tile.sh_degree).max().unwrap_or(0);
-        let count = self.held.values().map(Gaussians::len).sum();
+        let sh_degree = self.loaded.values().map(|tile| tile.sh_degree).max().unwrap_or(0);
+        let count = self.loaded.values().map(Gaussians::len).sum();
         let mut all = Gaussians::with_capacity(sh_degree, count);
-        self.held.values().for_each(|tile| all.append(tile));
+        self.loaded.values().for_each(|tile| all.append(tile));
         Ok(Some(all))
     }
 }

@@ -32,12 +32,12 @@ pub fn samples(report: &PixelReport) -> Vec<Value> {
 
 /// Writes a line to stdout. A closed pipe is not an error. The work continues after any other failure, and
 /// [`check_stdout`] reports it at the end.
-pub fn say(text: std::fmt::Arguments<'_>) {
+pub fn outln(text: std::fmt::Arguments<'_>) {
     note(writeln!(std::io::stdout(), "{text}"));
 }
 
 /// Writes a line to stderr, ignoring failures.
-pub fn tell(text: std::fmt::Arguments<'_>) {
+pub fn errln(text: std::fmt::Arguments<'_>) {
     writeln!(std::io::stderr(), "{text}").ok();
 }
 

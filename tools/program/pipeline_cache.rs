@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Largest file that is read; a larger one is from another program.
-const MOST_BYTES: u64 = 256 << 20;
+const MAX_BYTES: u64 = 256 << 20;
 
 /// A folder with a file per device and driver version.
 #[derive(Debug)]
@@ -28,7 +28,7 @@ pub fn kept() -> Option<Arc<dyn PipelineCacheStore>> {
 /// A file that cannot be read or written is ignored: kernels are then compiled again.
 impl PipelineCacheStore for Folder {
     fn load(&self, key: &PipelineCacheKey) -> Vec<u8> {
-        let data = regular_file::read_at_most(self.0.join(key.to_string()), MOST_BYTES);
+        let data = regular_file::read_at_most(self.0.join(key.to_string()), MAX_BYTES);
         data.ok().flatten().unwrap_or_default()
     }
 

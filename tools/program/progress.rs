@@ -112,7 +112,7 @@ impl TrainProgress {
                 || state.iteration == self.iterations
                 || self.last_line.elapsed() > LONGEST_SILENCE)
         {
-            tell!("{}/{}  {}", state.iteration, self.iterations, self.describe(state));
+            errln!("{}/{}  {}", state.iteration, self.iterations, self.describe(state));
             self.last_line = Instant::now();
         }
     }
@@ -133,8 +133,8 @@ impl TrainProgress {
     /// Prints a line above the bar.
     pub fn note(&self, text: &str) {
         match &self.bar {
-            Some(bar) => bar.suspend(|| tell!("{text}")),
-            None if self.lines => tell!("{text}"),
+            Some(bar) => bar.suspend(|| errln!("{text}")),
+            None if self.lines => errln!("{text}"),
             None => {}
         }
     }
@@ -142,8 +142,8 @@ impl TrainProgress {
     /// Prints a line on stderr, even with `--quiet`.
     pub fn warn(&self, text: &str) {
         match &self.bar {
-            Some(bar) => bar.suspend(|| tell!("{text}")),
-            None => tell!("{text}"),
+            Some(bar) => bar.suspend(|| errln!("{text}")),
+            None => errln!("{text}"),
         }
     }
 
@@ -152,7 +152,7 @@ impl TrainProgress {
         if let Some(bar) = &self.bar {
             bar.abandon();
             // The next output begins on a new line.
-            tell!("");
+            errln!("");
         }
     }
 

@@ -135,7 +135,7 @@ pub fn counted<T>(
 /// Prints warnings on stderr.
 pub fn warn(warnings: &[String]) {
     for warning in warnings {
-        tell!("warning: {warning}");
+        errln!("warning: {warning}");
     }
 }
 

@@ -21,7 +21,7 @@ pub const LOG_FILE: &str = "train_log.csv";
 const FLUSH_INTERVAL: u32 = 100;
 /// Most bytes of lines that wait in memory while the disk is full: some ten thousand lines. Beyond it the log ends, because a gap
 /// would mislead.
-const MOST_WAITING: usize = 16 << 20;
+const MAX_WAITING: usize = 16 << 20;
 
 /// A log that is being written. Lines that cannot be written wait and are tried again, so that training continues.
 pub struct TrainLog {
@@ -46,7 +46,7 @@ impl TrainLog {
     }
 
     /// Continues the log of a run from a checkpoint, and removes the lines after its iteration.
-    pub fn go_on(path: &Path, iteration: u32) -> Result<TrainLog> {
+    pub fn resume(path: &Path, iteration: u32) -> Result<TrainLog> {
         check(path)?;
         let Ok(text) = read(path) else { return TrainLog::create(path) };
         let mut lines = text.split_inclusive('\n');
@@ -92,7 +92,7 @@ impl TrainLog {
     }
 
     fn line(&mut self, line: &str) {
-        self.ended |= self.waiting.len() + line.len() >= MOST_WAITING;
+        self.ended |= self.waiting.len() + line.len() >= MAX_WAITING;
         if !self.ended {
             self.waiting.extend(line.bytes().chain([b'\n']));
         }
@@ -165,7 +165,7 @@ impl Rows {
         let text = read(path)?;
         let mut lines = text.lines();
         let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
-        let column = |wanted: &str| names.iter().position(|name| *name == wanted).unwrap_or(usize::MAX);
+        let column = |requested: &str| names.iter().position(|name| *name == requested).unwrap_or(usize::MAX);
         let [iteration, loss, psnr, gaussians, ms, peak, tracked] =
             ["iteration", "loss", "psnr", "gaussians", "ms", "total_peak_bytes", TRACKED].map(column);
         let mut rows = Rows::default();
@@ -213,9 +213,9 @@ mod tests {
     fn what_waits_is_bounded() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let mut log = TrainLog::create(&folder.path().join("log.csv")).expect("opened");
-        let line = "1".repeat(MOST_WAITING / 4);
+        let line = "1".repeat(MAX_WAITING / 4);
         (0..10).for_each(|_| log.line(&line));
-        assert!(log.waiting.len() < MOST_WAITING);
+        assert!(log.waiting.len() < MAX_WAITING);
         log.finish().expect_err("there is a gap");
     }
 }

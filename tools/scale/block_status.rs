@@ -82,17 +82,17 @@ fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
 fn show(file: &BlocksFile, arguments: &Arguments) -> usize {
     let round = file.exchanges() + 1;
     let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block, round)).collect();
-    let trained = all.iter().filter(|status| status.state == State::Trained).count();
+    let trained = all.iter().filter(|status| status.state == State::BlockNote).count();
     if arguments.json {
         let needed = |block| memory_bytes(file, block, arguments.growth);
         let blocks: Vec<Value> = all.iter().map(|status| status.json(needed(status.block))).collect();
-        say!("{:#}", json!({ "blocks": blocks, "trained": trained }));
+        outln!("{:#}", json!({ "blocks": blocks, "trained": trained }));
         return trained;
     }
     for status in &all {
-        say!("{}", status.line());
+        outln!("{}", status.line());
     }
-    say!("{trained} of {} blocks trained", all.len());
+    outln!("{trained} of {} blocks trained", all.len());
     trained
 }
 
@@ -104,7 +104,7 @@ enum State {
     Stopped,
     /// Ended this round; waits for the exchange.
     Exchange(u32),
-    Trained,
+    BlockNote,
     /// Trained for another division.
     Other,
 }
@@ -134,7 +134,7 @@ impl Status<'_> {
         let waits = file.ended_own(block).is_some_and(|ended| ended.round == round);
         let state = match (result::noted(file, block), lock::holder(&folder, &TRAINING)) {
             (_, Some(holder)) => State::Training(holder),
-            (Some(true), None) => State::Trained,
+            (Some(true), None) => State::BlockNote,
             (Some(false), None) => State::Other,
             (None, None) if waits => State::Exchange(round),
             (None, None) if iteration > 0 => State::Stopped,
@@ -160,7 +160,7 @@ impl Status<'_> {
             State::Waiting => "waiting",
             State::Training(_) => "training",
             State::Stopped => "stopped",
-            State::Trained => "trained",
+            State::BlockNote => "trained",
             State::Other => "of another division",
         }
     }

@@ -6,10 +6,10 @@ use ashsplat::{Error, Result};
 use ashsplat_files::splats::WriteOptions;
 use ashsplat_files::{CheckpointFile, splats};
 use ashsplat_program::args::HostArguments;
-use ashsplat_program::blocks::result::Unfit;
+use ashsplat_program::blocks::result::UnusableBlocks;
 use ashsplat_program::blocks::rounds::exchanged_checkpoint;
 use ashsplat_program::blocks::{Block, BlocksFile};
-use ashsplat_program::lock::{FolderLock, Work};
+use ashsplat_program::lock::{FolderLock, LockKind};
 use ashsplat_program::model::checkpoint_path;
 use ashsplat_program::output;
 use ashsplat_program::progress::{counting, thousands};
@@ -37,7 +37,7 @@ pub struct Arguments {
     quiet: bool,
 }
 
-const WORK: Work = Work { file: ".exchange.lock", what: "exchange", option: "BLOCKS.json" };
+const WORK: LockKind = LockKind { file: ".exchange.lock", what: "exchange", option: "BLOCKS.json" };
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let file = BlocksFile::read(&arguments.blocks)?;
@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let _lock = FolderLock::take(&folder, &WORK, None)?;
     if round <= file.exchanges() {
         if !arguments.quiet {
-            say!("round {round} of {rounds} is exchanged already");
+            outln!("round {round} of {rounds} is exchanged already");
         }
         return Ok(());
     }
@@ -78,7 +78,7 @@ struct Exchange<'a> {
 impl<'a> Exchange<'a> {
     /// Refuses a division with blocks that have not ended the round, and names them.
     fn new(file: &'a BlocksFile, round: u32, arguments: &'a Arguments) -> Result<Self> {
-        let mut unfit = Unfit::new();
+        let mut unusable = UnusableBlocks::new();
         for block in &file.division.blocks {
             let folder = file.at(&block.folder);
             let iteration = file.division.round_end(block, round);
@@ -95,9 +95,9 @@ impl<'a> Exchange<'a> {
                 }
                 Some(_) => continue,
             };
-            unfit.entry(problem).or_default().push(block.number.to_string());
+            unusable.entry(problem).or_default().push(block.number.to_string());
         }
-        file.check_none_unfit(&format!("round {round}: "), &unfit)?;
+        file.check_all_usable(&format!("round {round}: "), &unusable)?;
         Ok(Exchange { file, round, arguments })
     }
 
@@ -138,7 +138,7 @@ impl<'a> Exchange<'a> {
             bar.inc(1);
             if !self.arguments.quiet {
                 let [own, neighbours] = [own, neighbours].map(|count| thousands(count as u64));
-                say!("block {}: {own} Gaussians of its own, {neighbours} of its neighbours", block.number);
+                outln!("block {}: {own} Gaussians of its own, {neighbours} of its neighbours", block.number);
             }
         }
         bar.finish_and_clear();
@@ -153,7 +153,7 @@ impl<'a> Exchange<'a> {
         }
         if !self.arguments.quiet {
             let (rounds, path) = (file.division.rounds, file.path.display());
-            say!("round {round} of {rounds} is exchanged; go on with each: ashsplat train --job {path}:1");
+            outln!("round {round} of {rounds} is exchanged; go on with each: ashsplat train --job {path}:1");
         }
         Ok(())
     }

@@ -8,12 +8,12 @@ use ashsplat::scene::WorldFrame;
 use ashsplat_files::splats::{self, ConvertOptions, Format, Input};
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::blocks::BlocksFile;
-use ashsplat_program::blocks::result::{Unfit, scene_of};
-use ashsplat_program::lock::{FolderLock, Work};
+use ashsplat_program::blocks::result::{UnusableBlocks, scene_of};
+use ashsplat_program::lock::{FolderLock, LockKind};
 use ashsplat_program::output;
 use ashsplat_program::progress::{counting, thousands};
 use clap::Args;
-use report::Ready;
+use report::ReportSetup;
 use std::path::{Path, PathBuf};
 
 /// Merge the trained blocks of `ashsplat partition` into one scene.
@@ -53,7 +53,7 @@ pub struct Arguments {
     quiet: bool,
 }
 
-const WORK: Work = Work { file: ".merge.lock", what: "merge", option: "-o" };
+const WORK: LockKind = LockKind { file: ".merge.lock", what: "merge", option: "-o" };
 
 /// Path of the report's JSON, such as quality/page.html.json. It keeps .html, so that a report blocks.html does not replace
 /// blocks.json.
@@ -77,14 +77,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let others = [arguments.blocks.clone(), file.at(&file.division.coarse.path)];
     output::check_apart(&results, &[&scenes[..], &others].concat())?;
     // Everything that the report needs is checked before the work.
-    let ready = arguments.report.as_ref().map(|page| Ready::new(page, arguments, &file)).transpose()?;
+    let setup = arguments.report.as_ref().map(|page| ReportSetup::new(page, arguments, &file)).transpose()?;
     output::in_folder(&arguments.out, |out| {
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
         let _lock = FolderLock::take(folder.unwrap_or(Path::new(".")), &WORK, None)?;
         output::remove_leftovers_of(out);
         arguments.merge(&file, &scenes, out)
     })?;
-    ready.map_or(Ok(()), |ready| ready.measure(arguments, &file))
+    setup.map_or(Ok(()), |setup| setup.measure(arguments, &file))
 }
 
 impl Arguments {
@@ -99,15 +99,15 @@ impl Arguments {
         let read = self.device.host.reading(self.drop_invalid);
         let done = splats::join(&parts, out, &ConvertOptions { read, ..Default::default() })?;
         for warning in &done.warnings {
-            tell!("warning: {warning}");
+            errln!("warning: {warning}");
         }
         if !self.quiet {
             for (block, written) in blocks.iter().zip(&done.taken) {
-                say!("block {}: {} Gaussians", block.number, thousands(*written));
+                outln!("block {}: {} Gaussians", block.number, thousands(*written));
             }
             let (count, sum) = (blocks.len(), done.written);
             let (out, format, degree) = (out.display(), done.format, done.sh_degree);
-            say!("{count} blocks -> {out} ({format}, {} Gaussians, SH degree {degree})", thousands(sum));
+            outln!("{count} blocks -> {out} ({format}, {} Gaussians, SH degree {degree})", thousands(sum));
         }
         Ok(())
     }
@@ -117,15 +117,15 @@ impl Arguments {
 fn scenes(file: &BlocksFile, quiet: bool) -> Result<Vec<PathBuf>> {
     let blocks = &file.division.blocks;
     let bar = counting("blocks checked", blocks.len() as u64, quiet);
-    let (mut scenes, mut unfit) = (Vec::new(), Unfit::new());
+    let (mut scenes, mut unusable) = (Vec::new(), UnusableBlocks::new());
     for block in blocks {
         match scene_of(file, block)? {
             Ok(scene) => scenes.push(scene),
-            Err(why) => unfit.entry(why).or_default().push(block.number.to_string()),
+            Err(why) => unusable.entry(why).or_default().push(block.number.to_string()),
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
-    file.check_none_unfit("", &unfit)?;
+    file.check_all_usable("", &unusable)?;
     Ok(scenes)
 }

@@ -1,7 +1,7 @@
 //! `ashsplat partition`.
 
 mod cameras;
-mod likeness;
+mod correlation;
 
 use ashsplat::scene::{Camera, Cells, Gaussians, scene_extent};
 use ashsplat::train::SceneBlock;
@@ -11,11 +11,11 @@ use ashsplat_files::{Gallery, cameras_json, file_hash, splats};
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::blocks::rounds::MAX_ROUNDS;
 use ashsplat_program::blocks::{
-    Block, BlocksFile, Coarse, Core, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
+    Block, BlocksFile, Coarse, CoreBox, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
 };
-use ashsplat_program::config::{DataSettings, Split, When};
-use ashsplat_program::lock::{FolderLock, Work};
-use ashsplat_program::look::look_of;
+use ashsplat_program::config::{AutoSwitch, DataSettings, Split};
+use ashsplat_program::lock::{FolderLock, LockKind};
+use ashsplat_program::look::render_settings_of;
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::{significant, thousands};
 use ashsplat_program::{blocks, output, session};
@@ -52,7 +52,7 @@ pub struct Arguments {
     /// Use only the part of each photo that shows the block and its margin; auto: on, but off for a single object, where the average
     /// photo is used for two thirds of the blocks besides its main one
     #[arg(long, value_enum, default_value_t)]
-    photo_parts: When,
+    photo_parts: AutoSwitch,
     /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1
     #[arg(long, value_name = "X", default_value_t = 0.02)]
     min_share: f64,
@@ -73,7 +73,7 @@ pub struct Arguments {
     quiet: bool,
 }
 
-const WORK: Work = Work { file: ".partition.lock", what: "partition", option: "-o" };
+const WORK: LockKind = LockKind { file: ".partition.lock", what: "partition", option: "-o" };
 
 /// Margin as a share of the usual cell's side.
 const MARGIN: f32 = 0.15;
@@ -86,9 +86,9 @@ const SINGLE_OBJECT: f64 = 2.0 / 3.0;
 /// Largest distance between the coarse model's cameras and the data set's, in scene extents.
 const SAME_PLACE: f64 = 1e-3;
 /// Least share of the pictures that a model of the scene covers.
-const LEAST_COVERED: f64 = 0.02;
+const MIN_COVERED: f64 = 0.02;
 /// Least mean correlation of photographs and renders of a model of the scene.
-const LEAST_LIKE: f64 = 0.2;
+const MIN_CORRELATION: f64 = 0.2;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.check()?;
@@ -108,8 +108,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     session::warn(gallery.warnings());
     scene.express_in(gallery.frame());
     check_same_scene(&coarse, &gallery, &data)?;
-    let most = usize::try_from(arguments.max_gaussians).unwrap_or(usize::MAX);
-    let cells = Cells::divide(&scene.gaussians.means, most)
+    let max_gaussians = usize::try_from(arguments.max_gaussians).unwrap_or(usize::MAX);
+    let cells = Cells::divide(&scene.gaussians.means, max_gaussians)
         .map_err(|error| Error::argument("--max-gaussians", error.to_string()))?;
     if cells.bounds().len() > MAX_BLOCKS {
         let problem = format!("makes {} blocks, more than {MAX_BLOCKS}", cells.bounds().len());
@@ -117,7 +117,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
-    let look = RenderSettings { inverse_depth: true, ..look_of(&coarse.settings, &scene.header) };
+    let look = RenderSettings { inverse_depth: true, ..render_settings_of(&coarse.settings, &scene.header) };
     let cameras = gallery.cameras();
     let side = usual_side(&scene.gaussians, &cells);
     let sides = if arguments.rounds > 1 { MARGIN_IN_ROUNDS } else { MARGIN };
@@ -131,9 +131,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let spread = shares.spread();
     let is_object = cells.bounds().len() > 1 && spread >= SINGLE_OBJECT;
     let of_parts = match arguments.photo_parts {
-        When::Auto => !is_object,
-        When::On => true,
-        When::Off => false,
+        AutoSwitch::Auto => !is_object,
+        AutoSwitch::On => true,
+        AutoSwitch::Off => false,
     };
     if is_object && arguments.margin.is_none() && sides < MARGIN {
         margin = MARGIN * side;
@@ -144,8 +144,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if !of_parts {
         shares.use_whole();
     }
-    check_likeness(&coarse, &gallery, &data, (&mut renderer, &shares, &look))?;
-    let division = arguments.division(&Found {
+    check_same_pictures(&coarse, &gallery, &data, (&mut renderer, &shares, &look))?;
+    let division = arguments.division(&DivisionInputs {
         coarse: &coarse,
         gaussians: &scene.gaussians,
         data: &data,
@@ -174,7 +174,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Inputs of a division.
-struct Found<'a> {
+struct DivisionInputs<'a> {
     coarse: &'a Model,
     gaussians: &'a Gaussians,
     data: &'a DataSettings,
@@ -217,7 +217,7 @@ fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> R
 }
 
 /// Refuses a model that covers little of the pictures, or does not resemble the photographs.
-fn check_likeness(
+fn check_same_pictures(
     coarse: &Model,
     gallery: &Gallery,
     data: &DataSettings,
@@ -227,12 +227,12 @@ fn check_likeness(
     let refuse = |problem: String| {
         Err(Error::input(&coarse.ply, problem, "it is of another scene: give a model of this data set"))
     };
-    if shares.covered() < LEAST_COVERED {
+    if shares.covered() < MIN_COVERED {
         return refuse(format!("shows next to nothing to the cameras of {photos}"));
     }
-    match likeness::correlation(renderer, gallery, look)? {
-        Some(like) if like < LEAST_LIKE => {
-            refuse(format!("does not look like the photos of {photos} (correlation {like:.2})"))
+    match correlation::with_photos(renderer, gallery, look)? {
+        Some(correlation) if correlation < MIN_CORRELATION => {
+            refuse(format!("does not look like the photos of {photos} (correlation {correlation:.2})"))
         }
         _ => Ok(()),
     }
@@ -259,8 +259,8 @@ impl Arguments {
         }
     }
 
-    fn division(&self, found: &Found<'_>) -> Result<Division> {
-        let &Found { coarse, gaussians, data, gallery, cells, margin, shares } = found;
+    fn division(&self, found: &DivisionInputs<'_>) -> Result<Division> {
+        let &DivisionInputs { coarse, gaussians, data, gallery, cells, margin, shares } = found;
         let cameras = gallery.cameras();
         let held_out = gallery.held_out();
         let is_trained = |index: usize| !held_out[index];
@@ -279,9 +279,9 @@ impl Arguments {
             };
             let own = named(true);
             if own.is_empty() {
-                let most = 100.0 * shares.most(index, is_trained);
+                let max_share = 100.0 * shares.max_share(index, is_trained);
                 let problem = format!(
-                    "block {number} has no photo to train on: none shows more than {most:.2} % of its picture in it; lower \
+                    "block {number} has no photo to train on: none shows more than {max_share:.2} % of its picture in it; lower \
                      --min-share (it is {}) or raise --max-gaussians",
                     self.min_share
                 );
@@ -306,7 +306,7 @@ impl Arguments {
             let folder = self.out.with_extension("").join(format!("{number:03}"));
             blocks.push(Block {
                 number,
-                core: Core::of(core, gallery.frame()),
+                core: CoreBox::of(core, gallery.frame()),
                 gaussians: count(None),
                 trained: count(Some(margin)),
                 iterations: iterations as u32,
@@ -350,7 +350,7 @@ impl Arguments {
 
     fn describe(&self, division: &Division, object: Option<f64>) {
         for block in &division.blocks {
-            say!(
+            outln!(
                 "block {}: {} Gaussians, {} with the margin; {} photos, {} held out; {} iterations",
                 block.number,
                 thousands(block.gaussians),
@@ -362,9 +362,9 @@ impl Arguments {
         }
         let all: u64 = division.blocks.iter().map(|block| u64::from(block.iterations)).sum();
         let times = all as f64 / f64::from(division.iterations);
-        say!("all blocks together: {} iterations, {times:.2} times those of the whole", thousands(all));
+        outln!("all blocks together: {} iterations, {times:.2} times those of the whole", thousands(all));
         if let Some(spread) = object {
-            say!(
+            outln!(
                 "a single object: photos show {:.0} % of the other blocks in the mean; blocks use {} and a margin of {}; \
                  training the whole takes less processor time, where it fits",
                 100.0 * spread,
@@ -377,7 +377,7 @@ impl Arguments {
             1 => String::new(),
             rounds => format!(", and ashsplat exchange {out} after each of {rounds} rounds but the last"),
         };
-        say!(
+        outln!(
             "written to {out}; train each: ashsplat train --job {out}:1{exchange}, and then: ashsplat merge {out} -o scene.ply"
         );
     }

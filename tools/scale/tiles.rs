@@ -1,19 +1,19 @@
 //! `ashsplat tiles`.
 
-mod likeness;
+mod comparison;
 
 use ashsplat::{Error, Renderer, Result};
 use ashsplat_files::Progress;
 use ashsplat_files::splats;
 use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions};
 use ashsplat_program::args::DeviceArguments;
-use ashsplat_program::look::look_of;
+use ashsplat_program::look::render_settings_of;
 use ashsplat_program::model::Model;
 use ashsplat_program::output;
 use ashsplat_program::progress::{counting, thousands};
 use ashsplat_program::session;
 use clap::Args;
-use likeness::Likeness;
+use comparison::TileComparison;
 use std::path::PathBuf;
 
 /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB, or streamed SOG.
@@ -30,7 +30,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
     /// Gaussians of a tile, at most
-    #[arg(long, value_name = "N", default_value_t = TileOptions::default().most, value_parser = most)]
+    #[arg(long, value_name = "N", default_value_t = TileOptions::default().max_gaussians, value_parser = max_gaussians)]
     max_gaussians: usize,
     /// Pack the tiles' attributes as SPZ version 2 (KHR_gaussian_splatting_compression_spz_2): smaller, less exact, and the
     /// only form that CesiumJS reads
@@ -49,9 +49,9 @@ pub struct Arguments {
     quiet: bool,
 }
 
-fn most(text: &str) -> Result<usize, String> {
+fn max_gaussians(text: &str) -> Result<usize, String> {
     match text.parse() {
-        Ok(most) if most >= 2 => Ok(most),
+        Ok(max_gaussians) if max_gaussians >= 2 => Ok(max_gaussians),
         _ => Err("expected a number of 2 or more".into()),
     }
 }
@@ -69,16 +69,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         bar.set_position(done as u64);
     };
     let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
-    let most = arguments.max_gaussians;
+    let max_gaussians = arguments.max_gaussians;
     let done = output::in_folder(&arguments.out, |out| {
         if arguments.sog {
-            return tiles::write_streamed_sog(&model.ply, out, most, &read, &progress);
+            return tiles::write_streamed_sog(&model.ply, out, max_gaussians, &read, &progress);
         }
         let context = arguments.device.context()?;
-        let look = look_of(&model.settings, &splats::header(&model.ply, &read)?);
-        let mut likeness = Likeness::new(Renderer::new(&context)?, look);
-        let options = TileOptions { most, packed: arguments.spz };
-        let mut measure = |fine: &_, merged: &_| likeness.difference(fine, merged);
+        let look = render_settings_of(&model.settings, &splats::header(&model.ply, &read)?);
+        let mut comparison = TileComparison::new(Renderer::new(&context)?, look);
+        let options = TileOptions { max_gaussians, packed: arguments.spz };
+        let mut measure = |fine: &_, merged: &_| comparison.difference(fine, merged);
         let done = tiles::write(&model.ply, out, &options, &read, &mut measure, &progress);
         arguments.device.report_validation(&context);
         done
@@ -86,13 +86,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     bar.finish_and_clear();
     let done = done?;
     for warning in &done.warnings {
-        tell!("warning: {warning}");
+        errln!("warning: {warning}");
     }
     if !arguments.quiet {
         let out = arguments.out.join(if arguments.sog { "lod-meta.json" } else { TILESET_FILE });
         let (tiles, leaves, levels) = (done.tiles, done.leaves, done.levels);
         let [own, written] = [done.gaussians, done.written].map(thousands);
-        say!(
+        outln!(
             "{own} Gaussians -> {} ({tiles} tiles, {leaves} of them the finest, {levels} levels, {written} Gaussians in all)",
             out.display()
         );

@@ -78,11 +78,11 @@ impl Page {
     }
 
     /// The next relevant message; pictures are null.
-    fn next(&mut self, wanted: &str, start: Instant) -> Result<Value> {
+    fn next(&mut self, kind: &str, start: Instant) -> Result<Value> {
         loop {
-            ensure!(start.elapsed() < PATIENCE, "a page got no '{wanted}' within {PATIENCE:?}");
+            ensure!(start.elapsed() < PATIENCE, "a page got no '{kind}' within {PATIENCE:?}");
             let message = self.socket.read();
-            let message = message.map_err(|error| format!("a page got no '{wanted}': {error}"))?;
+            let message = message.map_err(|error| format!("a page got no '{kind}': {error}"))?;
             match message {
                 Message::Text(text) => return Ok(serde_json::from_str(text.as_str())?),
                 Message::Binary(_) => return Ok(Value::Null),

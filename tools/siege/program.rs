@@ -72,7 +72,7 @@ impl std::fmt::Display for Ending {
 
 pub struct Program {
     child: Child,
-    said: Receiver<String>,
+    output_lines: Receiver<String>,
     errors: Option<JoinHandle<String>>,
 }
 
@@ -93,14 +93,14 @@ impl Program {
                 command
             }
         };
-        if let Some(most) = limits.descriptors {
-            write!(script, "ulimit -n {most} && ")?;
+        if let Some(descriptors) = limits.descriptors {
+            write!(script, "ulimit -n {descriptors} && ")?;
         }
         command.args(["-c", &format!("{script}exec \"$0\" \"$@\"")]).arg(&siege.program).args(arguments);
         command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
         watch(child.id(), siege.peak.clone());
-        let (sender, said) = channel();
+        let (sender, output_lines) = channel();
         let stdout = child.stdout.take().ok_or("no stdout")?;
         std::thread::spawn(move || {
             let lines = BufReader::new(stdout).lines().map_while(std::result::Result::ok);
@@ -112,7 +112,7 @@ impl Program {
             stderr.read_to_end(&mut bytes).ok();
             String::from_utf8_lossy(&bytes).into_owned()
         });
-        Ok(Program { child, said, errors: Some(errors) })
+        Ok(Program { child, output_lines, errors: Some(errors) })
     }
 
     /// Waits for the next line on stdout with this beginning; returns the rest.
@@ -120,7 +120,7 @@ impl Program {
         let start = Instant::now();
         loop {
             let left = READY.saturating_sub(start.elapsed());
-            match self.said.recv_timeout(left) {
+            match self.output_lines.recv_timeout(left) {
                 Ok(line) => {
                     if let Some(rest) = line.strip_prefix(beginning) {
                         return Ok(rest.to_owned());

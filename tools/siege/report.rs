@@ -43,15 +43,15 @@ pub fn run() -> ExitCode {
             true => attack(&siege),
             false => Err("there was no time left for it".into()),
         };
-        let (said, verdict, count) = match outcome {
-            Ok(said) => (said, "passed", &mut passed),
+        let (text, verdict, count) = match outcome {
+            Ok(text) => (text, "passed", &mut passed),
             Err(reason) if is_impossible(&*reason) => (reason.to_string(), "skipped", &mut skipped),
             Err(error) => (error.to_string(), "**FAILED**", &mut failed),
         };
         *count += 1;
-        let said = said.replace('|', "/").split_whitespace().collect::<Vec<_>>().join(" ");
+        let text = text.replace('|', "/").split_whitespace().collect::<Vec<_>>().join(" ");
         let (peak, seconds) = (siege.peak_mib(), begun.elapsed().as_secs_f64());
-        println!("| {name} | {said} | {peak} MiB | {seconds:.1} s | {verdict} |");
+        println!("| {name} | {text} | {peak} MiB | {seconds:.1} s | {verdict} |");
     }
     println!(
         "\n{passed} passed, {failed} failed, {skipped} skipped in {:.0} s",

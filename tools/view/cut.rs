@@ -35,34 +35,34 @@ pub fn options(settings: &RenderSettings, frame: &WorldFrame) -> String {
     let Cut { min_opacity, min_density, bounds } = settings.cut;
     // The decimal number that single precision prints.
     let decimal = |v: f32| v.to_string().parse::<f64>().unwrap_or_else(|_| v.into());
-    let mut said = Vec::new();
+    let mut terms = Vec::new();
     if let Some(degree) = settings.sh_degree {
-        said.push(format!("--sh-degree {degree}"));
+        terms.push(format!("--sh-degree {degree}"));
     }
     if min_opacity > 0.0 {
-        said.push(format!("--min-opacity {min_opacity}"));
+        terms.push(format!("--min-opacity {min_opacity}"));
     }
     if min_density > 0.0 {
-        said.push(format!("--min-density {}", min_density / frame.unit as f32));
+        terms.push(format!("--min-density {}", min_density / frame.unit as f32));
     }
     if let Some(Bounds { min, max }) = bounds {
         let source = |axis: usize, v: f32| (frame.origin[axis] + frame.unit * decimal(v)).to_string();
         let corner = |corner: Vec3| [0, 1, 2].map(|axis| source(axis, corner[axis]));
         let sides = [corner(min), corner(max)].concat();
-        said.push(format!("--crop-box={}", sides.join(",")));
+        terms.push(format!("--crop-box={}", sides.join(",")));
     }
-    said.join(" ")
+    terms.join(" ")
 }
 
 /// The same cut as an address's query: `min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N`. An open side is empty.
 pub fn query(settings: &RenderSettings) -> String {
     let Cut { min_opacity, min_density, bounds } = settings.cut;
-    let mut said = vec![format!("min_opacity={min_opacity}&min_density={min_density}")];
+    let mut terms = vec![format!("min_opacity={min_opacity}&min_density={min_density}")];
     if let Some(Bounds { min, max }) = bounds {
         let side = |v: &f32| if v.is_finite() { v.to_string() } else { String::new() };
         let sides = |corner: Vec3| corner.to_array().iter().map(side).collect::<Vec<_>>().join(",");
-        said.push(format!("low={}&high={}", sides(min), sides(max)));
+        terms.push(format!("low={}&high={}", sides(min), sides(max)));
     }
-    said.extend(settings.sh_degree.map(|degree| format!("sh_degree={degree}")));
-    said.join("&")
+    terms.extend(settings.sh_degree.map(|degree| format!("sh_degree={degree}")));
+    terms.join("&")
 }

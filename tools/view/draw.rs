@@ -1,7 +1,7 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
-use super::edits::Part;
-use super::protocol::{Edit, Look, Mode};
+use super::edits::GaussianSet;
+use super::protocol::{Edit, Mode, ViewSettings};
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{
     Camera, Error, Frame, FrameStats, Gaussians, PixelReport, RenderSettings, Result, SurfaceDepth,
@@ -22,14 +22,14 @@ pub struct Viewer {
 }
 
 /// The viewer of the next pictures.
-pub struct Audience<'a> {
+pub struct ViewerSettings<'a> {
     pub viewer: Viewer,
     /// Most Gaussians of a picture of a tree of tiles. None: the program's own setting.
     pub budget: Option<u64>,
     /// True if the selected Gaussians are drawn in the selection's colour.
     pub selection: bool,
     /// True if that viewer is still connected.
-    pub is_there: &'a dyn Fn(&Viewer) -> bool,
+    pub is_connected: &'a dyn Fn(&Viewer) -> bool,
 }
 
 /// Error for edits of a scene that cannot be edited.
@@ -37,7 +37,7 @@ pub const NOT_EDITED: &str =
     "only a scene that is loaded whole can be edited, no training and no tree of tiles";
 
 /// A scene to look at: finished, or in training.
-pub trait Painter {
+pub trait ViewedScene {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame>;
     fn render_with_tiles(
         &mut self,
@@ -47,7 +47,7 @@ pub trait Painter {
     fn inspect(&mut self, camera: &Camera, settings: &RenderSettings, pixel: [u32; 2])
     -> Result<PixelReport>;
     /// Returns the current Gaussians.
-    fn gaussians(&self, part: Part) -> Result<Gaussians>;
+    fn gaussians(&self, part: GaussianSet) -> Result<Gaussians>;
     /// Applies a page's edit.
     fn edit(&mut self, _: &Edit) -> Result<()> {
         Err(Error::argument("edit", NOT_EDITED))
@@ -63,7 +63,7 @@ pub trait Painter {
         None
     }
     /// Sets the viewer of the next pictures.
-    fn attend(&mut self, _: &Audience<'_>) {}
+    fn set_viewer(&mut self, _: &ViewerSettings<'_>) {}
     /// True if all parts of the scene that this camera needs are loaded; requests those that are missing.
     fn is_ready(&mut self, _: &Camera) -> Result<bool> {
         Ok(true)
@@ -74,7 +74,7 @@ pub trait Painter {
     }
 }
 
-impl Painter for Trainer {
+impl ViewedScene for Trainer {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         Trainer::render(self, camera, settings)
     }
@@ -98,8 +98,8 @@ impl Painter for Trainer {
         self.draw(|renderer| renderer.inspect(camera, &settings, pixel))
     }
 
-    fn gaussians(&self, part: Part) -> Result<Gaussians> {
-        if part == Part::Selection {
+    fn gaussians(&self, part: GaussianSet) -> Result<Gaussians> {
+        if part == GaussianSet::Selection {
             return Err(Error::argument("part", NOT_EDITED));
         }
         self.baked_gaussians()
@@ -114,7 +114,7 @@ impl Painter for Trainer {
     }
 }
 
-pub struct Drawn {
+pub struct DrawnPicture {
     pub photo: Photo,
     /// Values of the lowest and the highest colour, in the mode's unit.
     pub legend: Option<[f32; 2]>,
@@ -122,7 +122,7 @@ pub struct Drawn {
 }
 
 /// Render settings for a look.
-pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
+pub fn settings(base: &RenderSettings, look: &ViewSettings) -> RenderSettings {
     let has_depth = matches!(look.mode, Mode::Depth | Mode::Ellipsoids);
     let base = if has_depth { Depth::Mean.requested(*base) } else { *base };
     RenderSettings {
@@ -138,19 +138,19 @@ pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
 
 /// In [`Mode::Splats`], a photo's exposure and lens effects are applied. The photo's camera comes with them.
 pub fn draw(
-    painter: &mut dyn Painter,
+    scene: &mut dyn ViewedScene,
     camera: &Camera,
     base: &RenderSettings,
-    look: &Look,
+    look: &ViewSettings,
     appearance: Option<(Camera, Appearance)>,
-) -> Result<Drawn> {
+) -> Result<DrawnPicture> {
     let settings = settings(base, look);
     let (mut frame, tiles) = match look.mode {
         Mode::Tiles => {
-            let (frame, tiles) = painter.render_with_tiles(camera, &settings)?;
+            let (frame, tiles) = scene.render_with_tiles(camera, &settings)?;
             (frame, Some(tiles))
         }
-        _ => (painter.render(camera, &settings)?, None),
+        _ => (scene.render(camera, &settings)?, None),
     };
     if let (Mode::Splats, Some((taken, appearance))) = (look.mode, &appearance) {
         appearance.apply_as_taken(taken, camera, &mut frame);
@@ -164,7 +164,7 @@ pub fn draw(
         (_, Some(tiles)) => tile_picture(&frame, &tiles)?,
         (_, None) => (output::to_photo(&frame)?, None),
     };
-    Ok(Drawn { photo, legend, stats: frame.stats })
+    Ok(DrawnPicture { photo, legend, stats: frame.stats })
 }
 
 /// Encodes a JPEG of quality 1 to 100, or a PNG for 0.
@@ -205,12 +205,12 @@ fn outlined(frame: &Frame) -> Result<Photo> {
 }
 
 /// Pixels of lower opacity show no depth.
-const LEAST_OPACITY: f32 = 0.3;
+const MIN_OPACITY: f32 = 0.3;
 
 /// Expected depth as a colour, in even steps of 1/z. The range leaves out the nearest and the farthest percent.
 fn depth_picture(frame: &Frame) -> Result<(Photo, Option<[f32; 2]>)> {
     let depth = Depth::Mean.of(frame);
-    let shown = |index: usize| depth[index].is_finite() && 1.0 - frame.transmittance[index] >= LEAST_OPACITY;
+    let shown = |index: usize| depth[index].is_finite() && 1.0 - frame.transmittance[index] >= MIN_OPACITY;
     let mut inverse: Vec<f32> =
         (0..depth.len()).filter(|&index| shown(index)).map(|index| depth[index].recip()).collect();
     if inverse.is_empty() {
@@ -231,8 +231,8 @@ fn depth_picture(frame: &Frame) -> Result<(Photo, Option<[f32; 2]>)> {
 
 /// Colours each tile by its number of entries (logarithmic), over a dark picture.
 fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, Option<[f32; 2]>)> {
-    let most = tiles.entries.iter().copied().max().unwrap_or(0).max(1);
-    let scale = 1.0 / (1.0 + most as f32).ln();
+    let max = tiles.entries.iter().copied().max().unwrap_or(0).max(1);
+    let scale = 1.0 / (1.0 + max as f32).ln();
     let mut color = frame.color.clone();
     for (index, pixel) in color.iter_mut().enumerate() {
         let (x, y) = (index as u32 % frame.width, index as u32 / frame.width);
@@ -242,7 +242,7 @@ fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, Option<[f32
         let line = if x.is_multiple_of(TILE_SIZE) || y.is_multiple_of(TILE_SIZE) { 0.7 } else { 1.0 };
         *pixel = heat.map(|channel| line * (0.62 * channel + 0.38 * gray));
     }
-    Ok((Photo::from_f32(frame.width, frame.height, &color)?, Some([0.0, most as f32])))
+    Ok((Photo::from_f32(frame.width, frame.height, &color)?, Some([0.0, max as f32])))
 }
 
 /// Turbo (Mikhailov 2019), polynomial approximation; 0 is dark blue, 1 dark red.

@@ -1,6 +1,6 @@
 //! Edits of a scene: which of its Gaussians are selected, hidden or deleted, with undo. No file changes; a page exports the result.
 
-use super::protocol::{Edit, How, Region};
+use super::protocol::{Edit, Region, SelectionOp};
 use ashsplat::scene::{Camera, Gaussians, NEAR_PLANE};
 use ashsplat::{Error, Result};
 use glam::Vec3;
@@ -8,13 +8,13 @@ use serde_json::{Value, json};
 use std::collections::VecDeque;
 
 /// Most points of a lasso or a brush stroke.
-const MOST_POINTS: usize = 1024;
+const MAX_POINTS: usize = 1024;
 /// Largest radius of a brush, pixels.
 const LARGEST_BRUSH: f32 = 512.0;
 /// Farthest point from the picture's corner, pixels: products of two stay exact enough.
 const FARTHEST_POINT: f32 = 65536.0;
 /// Most edits that can be undone. Each takes a bit per Gaussian.
-const MOST_STEPS: usize = 64;
+const MAX_STEPS: usize = 64;
 
 /// States of a Gaussian, at most one at a time.
 const SELECTED: u8 = 1;
@@ -23,10 +23,10 @@ const DELETED: u8 = 4;
 
 /// The Gaussians to export.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Part {
+pub enum GaussianSet {
     /// All that are neither hidden nor deleted.
     #[default]
-    Seen,
+    Visible,
     Selection,
 }
 
@@ -93,9 +93,9 @@ impl Edits {
                     let inside =
                         || limits.keeps(all, index) && contains(index, Vec3::from_array(all.means[index]));
                     match (state, how) {
-                        (0, How::Remove) => false,
-                        (SELECTED, How::Add) => false,
-                        (SELECTED, How::Set) => !inside(),
+                        (0, SelectionOp::Remove) => false,
+                        (SELECTED, SelectionOp::Add) => false,
+                        (SELECTED, SelectionOp::Set) => !inside(),
                         (0 | SELECTED, _) => inside(),
                         _ => false,
                     }
@@ -140,7 +140,7 @@ impl Edits {
         self.repeat(&step);
         self.undone.clear();
         self.done.push_back(step);
-        if self.done.len() > MOST_STEPS {
+        if self.done.len() > MAX_STEPS {
             self.done.pop_front();
         }
         true
@@ -173,10 +173,10 @@ impl Edits {
 
     /// # Errors
     /// [`Error::Argument`] for a selection of nothing.
-    pub fn part(&self, part: Part) -> Result<Gaussians> {
-        let of_part = |index: &usize| part == Part::Seen || self.states[*index] == SELECTED;
+    pub fn part(&self, part: GaussianSet) -> Result<Gaussians> {
+        let of_part = |index: &usize| part == GaussianSet::Visible || self.states[*index] == SELECTED;
         let indices: Vec<usize> = self.drawn().filter(of_part).collect();
-        if indices.is_empty() && part == Part::Selection {
+        if indices.is_empty() && part == GaussianSet::Selection {
             return Err(Error::argument("part", "nothing is selected"));
         }
         Ok(self.all.select(&indices))
@@ -210,8 +210,8 @@ impl Region {
             Region::Brush { camera, points, radius } => (camera, points, Some(*radius)),
         };
         let camera = camera.camera()?;
-        if points.is_empty() || points.len() > MOST_POINTS {
-            return bad("points", format!("{} of them; 1 to {MOST_POINTS} are taken", points.len()));
+        if points.is_empty() || points.len() > MAX_POINTS {
+            return bad("points", format!("{} of them; 1 to {MAX_POINTS} are taken", points.len()));
         }
         // False for NaN.
         let is_near = |point: &[f32; 2]| point.iter().all(|value| value.abs() <= FARTHEST_POINT);

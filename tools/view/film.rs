@@ -1,6 +1,6 @@
 //! A camera path rendered to frames, and the film made of them.
 
-use super::draw::{self, Painter};
+use super::draw::{self, ViewedScene};
 use super::protocol::{CameraMessage, FilmRequest};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame, tour};
 use ashsplat::{Error, RenderSettings, Result};
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// Most frames of a film.
-const MOST_FRAMES: u32 = 3000;
+const MAX_FRAMES: u32 = 3000;
 /// Widest GIF, pixels: 8 bits of colour look no better in a larger one.
 const GIF_WIDTH: u32 = 640;
 
@@ -50,12 +50,12 @@ impl Film {
     }
 
     /// Renders the next frame and returns the message for the page. None while a part of the scene that the frame needs is not loaded.
-    pub fn advance(&mut self, painter: &mut dyn Painter, base: &RenderSettings) -> Result<Option<Value>> {
+    pub fn advance(&mut self, scene: &mut dyn ViewedScene, base: &RenderSettings) -> Result<Option<Value>> {
         if let Some(camera) = self.cameras.get(self.done) {
-            if !painter.is_ready(camera)? {
+            if !scene.is_ready(camera)? {
                 return Ok(None);
             }
-            let photo = draw::draw(painter, camera, base, &self.request.look, None)?.photo;
+            let photo = draw::draw(scene, camera, base, &self.request.look, None)?.photo;
             output::write_png(&output::numbered(&self.frames, self.done, "png"), &photo)?;
             self.done += 1;
         }
@@ -114,8 +114,8 @@ fn cameras(request: &FilmRequest) -> Result<Vec<Camera>> {
         return bad("needs 1 to 60 frames per second and a positive length");
     }
     let frames = (seconds * *frames_per_second as f32).round().max(1.0);
-    if frames > MOST_FRAMES as f32 {
-        return bad(&format!("would have {frames} frames; {MOST_FRAMES} are the most"));
+    if frames > MAX_FRAMES as f32 {
+        return bad(&format!("would have {frames} frames; {MAX_FRAMES} are the most"));
     }
     let keys = keys.iter().map(|key| {
         let rotation = Mat3::from_cols_array_2d(&key.rotation).transpose();

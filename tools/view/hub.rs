@@ -5,7 +5,7 @@
 
 mod outbox;
 
-use super::edits::Part;
+use super::edits::GaussianSet;
 use super::protocol::{Edit, EditRequest, FilmRequest, Pick, ToPage, TrainAction, ViewRequest};
 use ashsplat::Gaussians;
 use ashsplat_files::splats::WriteOptions;
@@ -18,15 +18,15 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
 /// Most pages; more are refused.
-const MOST_PAGES: usize = 24;
+const MAX_PAGES: usize = 24;
 /// Most waiting requests for the scene itself; more are refused.
-const MOST_SCENES: usize = 2;
+const MAX_SCENES: usize = 2;
 /// Most waiting picks of one page; more are refused.
-const MOST_PICKS: usize = 4;
+const MAX_PICKS: usize = 4;
 /// Most waiting edits of one page; more are refused.
-const MOST_EDITS: usize = 2;
+const MAX_EDITS: usize = 2;
 /// Most waiting training actions; more are refused.
-const MOST_ACTIONS: usize = 64;
+const MAX_ACTIONS: usize = 64;
 
 /// Answer to a request for the current Gaussians, to write them to a file. An error says in words why there are none.
 pub type SceneAnswer = oneshot::Sender<Result<CurrentScene, String>>;
@@ -53,7 +53,7 @@ pub enum Task {
     /// The next frame of the film in progress, or the first of a new film.
     Film,
     Scene {
-        part: Part,
+        part: GaussianSet,
         answer: SceneAnswer,
     },
     Edit {
@@ -71,7 +71,7 @@ struct Client {
     /// True if the camera or the scene has changed since the last frame.
     stale: bool,
     /// True if a frame is under way.
-    on_the_way: bool,
+    in_flight: bool,
     picks: VecDeque<Pick>,
     edits: VecDeque<Edit>,
     /// Turn in which it was served last.
@@ -83,7 +83,7 @@ struct State {
     clients: BTreeMap<u64, Client>,
     next_client: u64,
     turn: u64,
-    scenes: VecDeque<(Part, SceneAnswer)>,
+    scenes: VecDeque<(GaussianSet, SceneAnswer)>,
     /// Turn in which a film was served last.
     film_served: u64,
     actions: VecDeque<TrainAction>,
@@ -92,7 +92,7 @@ struct State {
     /// Page whose film is in progress.
     filming: Option<u64>,
     /// True if the film in progress is cancelled.
-    called_off: bool,
+    film_cancelled: bool,
     /// Names of the files of finished films.
     film_files: BTreeSet<String>,
     /// First message to every page.
@@ -141,14 +141,14 @@ impl Hub {
     }
 
     /// True if another page may join.
-    pub fn has_room(&self) -> bool {
-        self.pages() < MOST_PAGES
+    pub fn accepts_pages(&self) -> bool {
+        self.pages() < MAX_PAGES
     }
 
     /// Adds a page. Returns its number and outbox, or none if there are too many.
     pub fn join(&self) -> Option<(u64, Arc<Outbox>)> {
         self.change(|state| {
-            if state.clients.len() >= MOST_PAGES {
+            if state.clients.len() >= MAX_PAGES {
                 return None;
             }
             state.next_client += 1;
@@ -165,7 +165,7 @@ impl Hub {
     pub fn leave(&self, client: u64) {
         self.change(|state| {
             state.clients.remove(&client);
-            state.call_off(client);
+            state.cancel_film(client);
         });
     }
 
@@ -190,17 +190,17 @@ impl Hub {
 
     /// Confirms that a page's frame has arrived.
     pub fn acknowledge(&self, client: u64) {
-        self.change_client(client, |client| client.on_the_way = false);
+        self.change_client(client, |client| client.in_flight = false);
     }
 
     /// Queues a page's question about a pixel; false if too many of its picks wait.
     pub fn pick(&self, client: u64, pick: Pick) -> bool {
-        self.change_client(client, |client| queue(&mut client.picks, pick, MOST_PICKS)).unwrap_or(false)
+        self.change_client(client, |client| queue(&mut client.picks, pick, MAX_PICKS)).unwrap_or(false)
     }
 
     /// Queues a request for the Gaussians; false if too many wait.
-    pub fn ask_for_scene(&self, part: Part, answer: SceneAnswer) -> bool {
-        self.change(|state| queue(&mut state.scenes, (part, answer), MOST_SCENES))
+    pub fn request_scene(&self, part: GaussianSet, answer: SceneAnswer) -> bool {
+        self.change(|state| queue(&mut state.scenes, (part, answer), MAX_SCENES))
     }
 
     /// Queues a page's edit.
@@ -213,7 +213,7 @@ impl Hub {
                 return Err("the scene has changed: select again");
             }
             let Some(client) = state.clients.get_mut(&client) else { return Ok(()) };
-            let queued = queue(&mut client.edits, edit, MOST_EDITS);
+            let queued = queue(&mut client.edits, edit, MAX_EDITS);
             queued.then_some(()).ok_or("too many edits wait: try again in a moment")
         })
     }
@@ -229,7 +229,7 @@ impl Hub {
 
     /// Queues a training action; false if nothing is trained or too many wait.
     pub fn act(&self, action: TrainAction) -> bool {
-        self.change(|state| state.status.is_some() && queue(&mut state.actions, action, MOST_ACTIONS))
+        self.change(|state| state.status.is_some() && queue(&mut state.actions, action, MAX_ACTIONS))
     }
 
     /// Takes all queued training actions.
@@ -267,28 +267,28 @@ impl Hub {
     }
 
     /// Cancels a page's film. True if the film was still waiting. A film in progress ends once its maker calls
-    /// [`Hub::film_is_called_off`].
+    /// [`Hub::film_is_cancelled`].
     pub fn cancel_film(&self, client: u64) -> bool {
-        self.change(|state| state.call_off(client))
+        self.change(|state| state.cancel_film(client))
     }
 
     /// Takes the film that has waited longest; it is now in progress.
     pub fn take_film(&self) -> Option<(u64, FilmRequest)> {
         self.change(|state| {
             let next = state.films.pop_front()?;
-            (state.filming, state.called_off) = (Some(next.0), false);
+            (state.filming, state.film_cancelled) = (Some(next.0), false);
             Some(next)
         })
     }
 
     /// True if the film in progress is cancelled: by its page, or because the page has left.
-    pub fn film_is_called_off(&self) -> bool {
-        self.lock().called_off
+    pub fn film_is_cancelled(&self) -> bool {
+        self.lock().film_cancelled
     }
 
     /// Marks the film in progress as ended.
     pub fn film_ended(&self) {
-        self.change(|state| (state.filming, state.called_off) = (None, false));
+        self.change(|state| (state.filming, state.film_cancelled) = (None, false));
     }
 
     /// Lets pages fetch these files of a film.
@@ -307,7 +307,7 @@ impl Hub {
     }
 
     /// True if any request is waiting, or a film is in progress.
-    pub fn is_wanted(&self) -> bool {
+    pub fn has_work(&self) -> bool {
         let state = self.lock();
         !state.scenes.is_empty() || state.has_films() || state.clients.values().any(Client::waits)
     }
@@ -334,14 +334,14 @@ impl Hub {
 
 impl Client {
     fn waits(&self) -> bool {
-        !self.picks.is_empty() || !self.edits.is_empty() || self.stale && !self.on_the_way
+        !self.picks.is_empty() || !self.edits.is_empty() || self.stale && !self.in_flight
     }
 }
 
 impl State {
     /// Cancels a page's film; true if it was still waiting.
-    fn call_off(&mut self, client: u64) -> bool {
-        self.called_off |= self.filming == Some(client);
+    fn cancel_film(&mut self, client: u64) -> bool {
+        self.film_cancelled |= self.filming == Some(client);
         let before = self.films.len();
         self.films.retain(|(owner, _)| *owner != client);
         self.films.len() < before
@@ -375,14 +375,14 @@ impl State {
             return Some(Task::Pick { client: id, pick });
         }
         client.stale = false;
-        client.on_the_way = true;
+        client.in_flight = true;
         client.view.clone().map(|request| Task::Frame { client: id, request })
     }
 }
 
 /// Adds to a queue; false if it is full.
-fn queue<T>(queue: &mut VecDeque<T>, item: T, most: usize) -> bool {
-    let has_room = queue.len() < most;
+fn queue<T>(queue: &mut VecDeque<T>, item: T, max: usize) -> bool {
+    let has_room = queue.len() < max;
     if has_room {
         queue.push_back(item);
     }

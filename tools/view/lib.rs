@@ -15,6 +15,7 @@ mod edits;
 mod film;
 pub mod hub;
 mod labels;
+mod loaded_scene;
 mod loading;
 mod openings;
 mod pace;
@@ -24,13 +25,12 @@ pub mod render_thread;
 pub mod server;
 mod sizes;
 mod streamed;
-mod subject;
 #[cfg(feature = "window")]
 mod window;
 
 pub use appearances::PhotoAppearances;
+pub use loaded_scene::LoadedScene;
 pub use photos::Photos;
-pub use subject::Subject;
 
 use ashsplat::{Error, RenderSettings, Renderer, Result, ShStorage};
 use ashsplat_files::{colmap, splats};
@@ -38,15 +38,16 @@ use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::{LookArguments, parse_direction};
 use ashsplat_program::{model, output, session};
 use clap::Args;
-use draw::Painter;
-use edits::Part;
+use draw::ViewedScene;
+use edits::GaussianSet;
 use glam::Vec3;
 use hub::Hub;
+use loaded_scene::{OpenScenes, SceneArguments, is_plain_name};
 use loading::Loading;
-use openings::{OpenRequest, Openings, Reach};
+use openings::{OpenRequest, Openings, PortAccess};
 use protocol::ToPage;
 use render_thread::RenderThread;
-use server::{ServeArguments, Site};
+use server::{AppState, ServeArguments};
 use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -54,8 +55,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Scope;
 use std::time::Duration;
-use streamed::{Onlooker, Scenery};
-use subject::{SceneArguments, Shown, is_plain_name};
+use streamed::{OnTile, SceneRenderer};
 
 /// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
 ///
@@ -90,14 +90,14 @@ pub struct Arguments {
 }
 
 /// Interval at which an idle thread checks whether it should end.
-const REST: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 /// Time for pages to receive the reason why the program ends.
-const LAST_WORDS: Duration = Duration::from_millis(300);
+const FINAL_MESSAGE_TIME: Duration = Duration::from_millis(300);
 
 /// Runs the command until Ctrl-C.
 pub fn run(arguments: &Arguments) -> Result<()> {
     if !matches!(arguments.look.sh_storage, None | Some(ShStorage::F32)) {
-        say!("SH are rounded to their storage, in pictures and in scenes that are saved from here");
+        outln!("SH are rounded to their storage, in pictures and in scenes that are saved from here");
     }
     // The default folder may be read-only: looking needs no files.
     arguments.out.as_deref().map(output::check_folder).transpose()?;
@@ -129,11 +129,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let hub = Arc::new(Hub::default());
     let name = arguments.path.as_ref().map(|path| path.display().to_string());
     hub.greet_with(&loading::message(name.as_deref().unwrap_or_default()));
-    let site = Site::new(hub.clone(), out.clone(), arguments.serve.clone());
-    let site = Arc::new(site.with_openings(openings.clone()));
-    let server = server::start(listener, site.clone())?;
+    let state = AppState::new(hub.clone(), out.clone(), arguments.serve.clone());
+    let state = Arc::new(state.with_openings(openings.clone()));
+    let server = server::start(listener, state.clone())?;
     announce(server.address, &arguments.serve);
-    say!(
+    outln!(
         "{}; Ctrl-C ends the viewer",
         match &name {
             Some(name) if openings.is_some() => format!("the page chooses a scene of {name}"),
@@ -142,29 +142,29 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     );
     std::thread::scope(|threads| {
-        let stage = Stage { arguments, openings, hub: hub.clone(), site, stop: &stop };
-        let ended = stage.play(threads, out);
+        let viewer = ViewerSession { arguments, openings, hub: hub.clone(), state, stop: &stop };
+        let ended = viewer.run(threads, out);
         // Stops a scene that is still being read.
         stop.store(true, Ordering::Relaxed);
         if let Err(error) = &ended {
             hub.broadcast(&loading::failure("", error, None));
-            std::thread::sleep(if hub.pages() > 0 { LAST_WORDS } else { Duration::ZERO });
+            std::thread::sleep(if hub.pages() > 0 { FINAL_MESSAGE_TIME } else { Duration::ZERO });
         }
         ended
     })
 }
 
 /// Opens and shows the viewer's scenes, one after another.
-struct Stage<'a> {
+struct ViewerSession<'a> {
     arguments: &'a Arguments,
     openings: Option<Arc<Openings>>,
     hub: Arc<Hub>,
-    site: Arc<Site>,
+    state: Arc<AppState>,
     stop: &'a AtomicBool,
 }
 
-impl<'a> Stage<'a> {
-    fn play<'scope>(&self, threads: &'scope Scope<'scope, 'a>, out: PathBuf) -> Result<()>
+impl<'a> ViewerSession<'a> {
+    fn run<'scope>(&self, threads: &'scope Scope<'scope, 'a>, out: PathBuf) -> Result<()>
     where
         'a: 'scope,
     {
@@ -182,27 +182,28 @@ impl<'a> Stage<'a> {
         let mut loading = scene.map(request).map(begin).transpose()?;
         // The device opens while the scene is read.
         let context = arguments.device.context()?;
-        let mut scenery = Scenery::new(Renderer::new(&context)?, arguments.look.sh_storage);
+        let mut renderer = SceneRenderer::new(Renderer::new(&context)?, arguments.look.sh_storage);
         let mut render_thread = RenderThread::new(hub.clone(), RenderSettings::default(), out);
-        let first = loading.take().map_or_else(|| Ok(Subject::nothing()), |loading| loading.finish().1)?;
-        let mut shown = first.shown();
-        self.show(first, &mut shown, &mut scenery, &mut render_thread)?;
+        let first =
+            loading.take().map_or_else(|| Ok(LoadedScene::nothing()), |loading| loading.finish().1)?;
+        let mut open = first.open_scenes();
+        self.show(first, &mut open, &mut renderer, &mut render_thread)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
                 let (mut request, read) = read.finish();
                 // Pages may open the next scene.
-                request.turn = None;
-                let opened = read.and_then(|subject| {
-                    let (name, file) = (request.name.clone(), self.file_for_commands(&request, subject.file));
-                    let mut subject = Subject { name, file, ..subject };
-                    if request.add && shown.parts.iter().any(|part| part.count > 0) {
-                        subject = self.joined(subject, shown.clone(), &scenery)?;
+                request.permit = None;
+                let opened = read.and_then(|loaded| {
+                    let (name, file) = (request.name.clone(), self.file_for_commands(&request, loaded.file));
+                    let mut loaded = LoadedScene { name, file, ..loaded };
+                    if request.add && open.parts.iter().any(|part| part.count > 0) {
+                        loaded = self.added(loaded, open.clone(), &renderer)?;
                     }
-                    self.show(subject, &mut shown, &mut scenery, &mut render_thread)
+                    self.show(loaded, &mut open, &mut renderer, &mut render_thread)
                 });
                 // The previous scene stays.
                 if let Err(error) = opened {
-                    hub.broadcast(&loading::failure(&request.name, &error, request.room().as_deref()));
+                    hub.broadcast(&loading::failure(&request.name, &error, request.prefix().as_deref()));
                     render_thread::fatal(error)?;
                 }
             }
@@ -210,7 +211,7 @@ impl<'a> Stage<'a> {
                 let request = self.openings.as_ref().and_then(|openings| openings.take());
                 loading = request.map(begin).transpose()?;
             }
-            render_thread.serve(&mut scenery, REST)?;
+            render_thread.serve(&mut renderer, POLL_INTERVAL)?;
         }
         arguments.device.report_validation(&context);
         Ok(())
@@ -231,47 +232,47 @@ impl<'a> Stage<'a> {
     }
 
     /// Adds a scene to those that are open.
-    fn joined(&self, subject: Subject, mut shown: Shown, scenery: &Scenery) -> Result<Subject> {
-        let name = &subject.name;
-        if subject.tree.is_some() || scenery.tree().is_some() {
+    fn added(&self, new: LoadedScene, mut open: OpenScenes, renderer: &SceneRenderer) -> Result<LoadedScene> {
+        let name = &new.name;
+        if new.tree.is_some() || renderer.tree().is_some() {
             return Err(Error::argument(name, "is not added: a tree of tiles is drawn alone"));
         }
-        scenery.keep_drawn(name, &mut shown.parts)?;
-        let all = scenery.gaussians(Part::Seen)?;
-        let degree = subject.gaussians.sh_degree.max(all.sh_degree);
-        let needed = (all.len() + subject.gaussians.len()) as u64 * splats::row_bytes(degree);
+        renderer.keep_drawn(name, &mut open.parts)?;
+        let all = renderer.gaussians(GaussianSet::Visible)?;
+        let degree = new.gaussians.sh_degree.max(all.sh_degree);
+        let needed = (all.len() + new.gaussians.len()) as u64 * splats::row_bytes(degree);
         let limit = self.arguments.device.host.memory().limit();
         if needed > limit {
             let what = format!("{name} beside the open scene");
             let (unit, limit_name) = ("bytes of host memory", "--max-host-memory");
             return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
         }
-        Ok(Subject { joined: Some(self.hub.run()), ..subject.beside(shown, all) })
+        Ok(LoadedScene { joined: Some(self.hub.run()), ..new.added_to(open, all) })
     }
 
     /// Shows a scene. If it does not fit, the scenes that were open before are shown again, if any.
     fn show(
         &self,
-        subject: Subject,
-        shown: &mut Shown,
-        scenery: &mut Scenery,
+        loaded: LoadedScene,
+        open: &mut OpenScenes,
+        renderer: &mut SceneRenderer,
         render_thread: &mut RenderThread,
     ) -> Result<()> {
-        let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
+        let mut greeting = loaded.greeting(renderer.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
         let hub = self.hub.clone();
-        let onlooker: Onlooker = Arc::new(move |problem: Option<String>| match problem {
+        let on_tile: OnTile = Arc::new(move |problem: Option<String>| match problem {
             None => hub.renew(),
             Some(problem) => hub.broadcast(&ToPage::problem(&problem)),
         });
-        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker) {
+        if let Err(error) = renderer.show(&loaded.gaussians, loaded.tree.as_ref(), on_tile) {
             // The previous scene is already gone.
-            self.show(subject.without_last(), shown, scenery, render_thread)?;
+            self.show(loaded.without_last(), open, renderer, render_thread)?;
             return Err(error);
         }
-        *shown = subject.shown();
-        render_thread.show(subject.base, subject.appearances, subject.frame);
-        self.site.show_photos(subject.photos);
+        *open = loaded.open_scenes();
+        render_thread.show(loaded.base, loaded.appearances, loaded.frame);
+        self.state.show_photos(loaded.photos);
         self.hub.greet_with(&greeting);
         self.hub.broadcast(&ToPage::json(&greeting));
         Ok(())
@@ -281,26 +282,26 @@ impl<'a> Stage<'a> {
 impl Arguments {
     /// Loads the scene that the arguments name.
     #[cfg(feature = "window")]
-    fn subject(&self, stop: &AtomicBool) -> Result<Subject> {
-        self.path.as_ref().map_or_else(|| Ok(Subject::nothing()), |path| self.load(path, None, stop))
+    fn load_path(&self, stop: &AtomicBool) -> Result<LoadedScene> {
+        self.path.as_ref().map_or_else(|| Ok(LoadedScene::nothing()), |path| self.load(path, None, stop))
     }
 
-    fn load(&self, path: &Path, within: Option<&Path>, stop: &AtomicBool) -> Result<Subject> {
-        let subject = Subject::load(path, within, &self.scene, &self.look, &self.device.host, stop)?;
-        Ok(Subject { up: self.up, ..subject })
+    fn load(&self, path: &Path, within: Option<&Path>, stop: &AtomicBool) -> Result<LoadedScene> {
+        let loaded = LoadedScene::load(path, within, &self.scene, &self.look, &self.device.host, stop)?;
+        Ok(LoadedScene { up: self.up, ..loaded })
     }
 
     /// Limits of what pages may open; none if the viewer was started with a scene.
     fn openings(&self, listener: &TcpListener) -> Option<Arc<Openings>> {
-        let most_bytes = self.device.host.memory().limit();
+        let max_bytes = self.device.host.memory().limit();
         let folder = match self.path {
             // Everyone who sees the page may list a folder that the command names. The shell's folder is for this machine only.
             Some(_) => self.folder_of_scenes().map(Path::to_owned),
             None => std::env::current_dir()
                 .ok()
-                .filter(|_| server::reach(listener, &self.serve) == Reach::ThisMachine),
+                .filter(|_| server::port_access(listener, &self.serve) == PortAccess::ThisMachine),
         };
-        (self.path.is_none() || folder.is_some()).then(|| Arc::new(Openings::new(folder, most_bytes)))
+        (self.path.is_none() || folder.is_some()).then(|| Arc::new(Openings::new(folder, max_bytes)))
     }
 
     /// The path, if it is a folder of which pages choose a scene.
@@ -328,7 +329,7 @@ pub fn announce(address: SocketAddr, arguments: &ServeArguments) {
     let others: Vec<String> = others.iter().map(|ip| page(SocketAddr::new(*ip, port).to_string())).collect();
     let others =
         if others.is_empty() { String::new() } else { format!("; from elsewhere {}", others.join(", ")) };
-    say!("viewer at {}{others}", page(here));
+    outln!("viewer at {}{others}", page(here));
 }
 
 /// This machine's outward addresses, by its routes to common ranges. Connecting a datagram socket sends nothing.

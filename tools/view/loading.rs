@@ -1,16 +1,16 @@
 //! Scenes are read on their own thread. Meanwhile pages are served, and get a message that something is read.
 
 use super::hub::Hub;
+use super::loaded_scene::LoadedScene;
 use super::openings::OpenRequest;
 use super::protocol::ToPage;
-use super::subject::Subject;
 use ashsplat::{Error, Result};
 use serde_json::{Value, json};
 use std::thread::{Scope, ScopedJoinHandle};
 
 pub struct Loading<'scope> {
     request: OpenRequest,
-    thread: ScopedJoinHandle<'scope, Result<Subject>>,
+    thread: ScopedJoinHandle<'scope, Result<LoadedScene>>,
 }
 
 impl<'scope> Loading<'scope> {
@@ -18,7 +18,7 @@ impl<'scope> Loading<'scope> {
         threads: &'scope Scope<'scope, '_>,
         hub: &Hub,
         request: OpenRequest,
-        read: impl FnOnce() -> Result<Subject> + Send + 'scope,
+        read: impl FnOnce() -> Result<LoadedScene> + Send + 'scope,
     ) -> Result<Loading<'scope>> {
         hub.broadcast(&ToPage::json(&message(&request.name)));
         let thread = std::thread::Builder::new().name("reader".into()).spawn_scoped(threads, read);
@@ -32,7 +32,7 @@ impl<'scope> Loading<'scope> {
     }
 
     /// Returns the request, which holds the files until it is dropped.
-    pub fn finish(self) -> (OpenRequest, Result<Subject>) {
+    pub fn finish(self) -> (OpenRequest, Result<LoadedScene>) {
         let Self { request, thread } = self;
         let failed = |_| Err(Error::argument("viewer", format!("reading {} has failed", request.name)));
         let read = thread.join().unwrap_or_else(failed);
@@ -46,8 +46,8 @@ pub fn message(name: &str) -> Value {
 }
 
 /// Message to pages when reading has failed, without the path of the uploaded file's folder.
-pub fn failure(name: &str, error: &Error, room: Option<&str>) -> ToPage {
-    let said = error.to_string();
-    let said = room.map_or(said.clone(), |room| said.replace(room, ""));
-    ToPage::json(&json!({ "type": "loading", "name": name, "failed": said }))
+pub fn failure(name: &str, error: &Error, prefix: Option<&str>) -> ToPage {
+    let text = error.to_string();
+    let text = prefix.map_or(text.clone(), |prefix| text.replace(prefix, ""));
+    ToPage::json(&json!({ "type": "loading", "name": name, "failed": text }))
 }

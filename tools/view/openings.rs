@@ -11,7 +11,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// The machines that reach the viewer's port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reach {
+pub enum PortAccess {
     ThisMachine,
     Others,
 }
@@ -21,8 +21,8 @@ pub struct Openings {
     /// Pages may name paths in this folder or below; none: no paths.
     folder: Option<PathBuf>,
     /// Largest file that a page may send, bytes.
-    pub most_bytes: u64,
-    turn: Arc<Semaphore>,
+    pub max_bytes: u64,
+    permit: Arc<Semaphore>,
     /// Held while paths are listed, so that only one list is made at a time.
     pub listing: Arc<Semaphore>,
     request: Mutex<Option<OpenRequest>>,
@@ -41,36 +41,36 @@ pub struct OpenRequest {
     /// Folder of an uploaded file, removed when this is dropped.
     pub upload: Option<TempDir>,
     /// A page's exclusive right to open a scene, until it is dropped.
-    pub turn: Option<OwnedSemaphorePermit>,
+    pub permit: Option<OwnedSemaphorePermit>,
 }
 
 impl OpenRequest {
     /// Folder of a file that a page has sent or named. Messages to pages show paths without it.
-    pub fn room(&self) -> Option<String> {
+    pub fn prefix(&self) -> Option<String> {
         let folder = self.upload.as_ref().map(TempDir::path).or(self.within.as_deref())?;
         Some(format!("{}{}", folder.display(), std::path::MAIN_SEPARATOR))
     }
 }
 
 impl Openings {
-    /// Pages may name paths in `folder` or below. `most_bytes` is the host memory that reading may take: a larger file could not be read.
-    pub fn new(folder: Option<PathBuf>, most_bytes: u64) -> Openings {
+    /// Pages may name paths in `folder` or below. `max_bytes` is the host memory that reading may take: a larger file could not be read.
+    pub fn new(folder: Option<PathBuf>, max_bytes: u64) -> Openings {
         let folder = folder.and_then(|folder| dunce::canonicalize(folder).ok());
-        let [turn, listing] = [1, 1].map(|permits| Arc::new(Semaphore::new(permits)));
-        Openings { folder, most_bytes, turn, listing, request: Mutex::default() }
+        let [permit, listing] = [1, 1].map(|permits| Arc::new(Semaphore::new(permits)));
+        Openings { folder, max_bytes, permit, listing, request: Mutex::default() }
     }
 
     /// Describes the limits to a page.
     pub fn described(&self) -> Value {
-        json!({ "folder": self.folder.as_deref().map(name_of), "bytes": self.most_bytes, "formats": single_files(&Format::ALL) })
+        json!({ "folder": self.folder.as_deref().map(name_of), "bytes": self.max_bytes, "formats": single_files(&Format::ALL) })
     }
 
     /// Takes the right to open a scene. None while another page has it.
-    pub fn turn(&self) -> Option<OwnedSemaphorePermit> {
-        self.turn.clone().try_acquire_owned().ok()
+    pub fn permit(&self) -> Option<OwnedSemaphorePermit> {
+        self.permit.clone().try_acquire_owned().ok()
     }
 
-    pub fn ask(&self, request: OpenRequest) {
+    pub fn submit(&self, request: OpenRequest) {
         *locked(&self.request) = Some(request);
     }
 
@@ -93,12 +93,12 @@ impl Openings {
     }
 
     /// Lists the paths that start with `begin`: folders with a `/` at the end, and files of formats with one file per scene.
-    /// They are sorted and at most [`MOST_LISTED`]; `more` is true if there may be others.
+    /// They are sorted and at most [`MAX_LISTED`]; `more` is true if there may be others.
     pub fn list(&self, begin: &str) -> Value {
         let (prefix, name) = begin.split_at(begin.rfind('/').map_or(0, |slash| slash + 1));
         let Ok((folder, _)) = self.find(prefix) else { return json!({ "paths": [], "more": false }) };
         let mut read = 0;
-        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().take(MOST_READ);
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().take(MAX_READ);
         let path = |entry: std::fs::DirEntry| {
             read += 1;
             let own = entry.file_name().into_string().ok()?;
@@ -113,8 +113,8 @@ impl Openings {
         };
         let mut paths: Vec<String> = entries.filter_map(path).collect();
         paths.sort_unstable();
-        let more = read == MOST_READ || paths.len() > MOST_LISTED;
-        paths.truncate(MOST_LISTED);
+        let more = read == MAX_READ || paths.len() > MAX_LISTED;
+        paths.truncate(MAX_LISTED);
         json!({ "paths": paths, "more": more })
     }
 }
@@ -125,9 +125,9 @@ fn name_of(folder: &Path) -> String {
 }
 
 /// Most paths that are listed for a page.
-const MOST_LISTED: usize = 200;
+const MAX_LISTED: usize = 200;
 /// Most entries of a folder that are looked at for a list.
-const MOST_READ: usize = 10_000;
+const MAX_READ: usize = 10_000;
 
 /// True if a scene in this format is one file.
 fn is_single_file(format: &Format) -> bool {

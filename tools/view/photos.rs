@@ -9,15 +9,15 @@ use ashsplat::Result;
 use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
 use ashsplat_program::session::locked;
 use axum::body::Bytes;
-use queue::{Queue, Turn};
+use queue::{Permit, Queue};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-pub use queue::Asker;
+pub use queue::Client;
 
 /// Bytes of encoded photos, and of thumbnails, to keep.
-const KEPT_BYTES: usize = 64 << 20;
-const KEPT_THUMBNAIL_BYTES: usize = 16 << 20;
+const CACHE_BYTES: usize = 64 << 20;
+const THUMBNAIL_CACHE_BYTES: usize = 16 << 20;
 const QUALITY: u8 = 92;
 const THUMBNAIL_QUALITY: u8 = 75;
 /// Width of a thumbnail, pixels.
@@ -51,14 +51,14 @@ pub enum Refusal {
 }
 
 /// The photos encoded last, newest at the end.
-struct Kept {
-    most_bytes: usize,
+struct PhotoCache {
+    max_bytes: usize,
     photos: VecDeque<(usize, Arc<Vec<u8>>)>,
 }
 
-impl Kept {
-    fn new(most_bytes: usize) -> Kept {
-        Kept { most_bytes, photos: VecDeque::new() }
+impl PhotoCache {
+    fn new(max_bytes: usize) -> PhotoCache {
+        PhotoCache { max_bytes, photos: VecDeque::new() }
     }
 
     fn find(&self, index: usize) -> Option<Arc<Vec<u8>>> {
@@ -70,7 +70,7 @@ impl Kept {
         let total = |photos: &VecDeque<(usize, Arc<Vec<u8>>)>| -> usize {
             photos.iter().map(|(_, bytes)| bytes.len()).sum()
         };
-        while self.photos.len() > 1 && total(&self.photos) > self.most_bytes {
+        while self.photos.len() > 1 && total(&self.photos) > self.max_bytes {
             self.photos.pop_front();
         }
     }
@@ -82,7 +82,7 @@ pub struct Photos {
     /// Memory that decoding each photo takes, MiB.
     costs: Vec<u32>,
     /// Photos, and thumbnails.
-    kept: [Mutex<Kept>; 2],
+    caches: [Mutex<PhotoCache>; 2],
     decoding: Queue,
     sending: Queue,
 }
@@ -98,7 +98,7 @@ impl Photos {
         Photos {
             costs: cameras.iter().map(|named| cost(named.camera.width, named.camera.height)).collect(),
             gallery,
-            kept: [KEPT_BYTES, KEPT_THUMBNAIL_BYTES].map(|most| Mutex::new(Kept::new(most))),
+            caches: [CACHE_BYTES, THUMBNAIL_CACHE_BYTES].map(|max| Mutex::new(PhotoCache::new(max))),
             decoding: Queue::new(DECODING_MIB, DECODING_MIB),
             // A client that does not read occupies at most half.
             sending: Queue::new(SENDING_MIB, SENDING_MIB / 2),
@@ -110,25 +110,30 @@ impl Photos {
         self.gallery.held_out().get(index).is_some_and(|held_out| *held_out)
     }
 
-    /// Returns a photo once the asker's turn has come.
-    pub async fn jpeg(self: &Arc<Photos>, index: usize, size: Size, asker: Asker) -> Result<Bytes, Refusal> {
+    /// Returns a photo once the client has a permit.
+    pub async fn jpeg(
+        self: &Arc<Photos>,
+        index: usize,
+        size: Size,
+        client: Client,
+    ) -> Result<Bytes, Refusal> {
         let cost = *self.costs.get(index).ok_or(Refusal::Unknown)?;
-        let kept = self.kept(size).find(index);
-        let bytes = match kept {
+        let cached = self.cache(size).find(index);
+        let bytes = match cached {
             Some(bytes) => bytes,
             None => {
-                let turn = self.decoding.turn(asker, cost).await.ok_or(Refusal::Busy)?;
+                let permit = self.decoding.acquire(client, cost).await.ok_or(Refusal::Busy)?;
                 // Another request may have decoded the same photo meanwhile.
-                let kept = self.kept(size).find(index);
-                match kept {
+                let cached = self.cache(size).find(index);
+                match cached {
                     Some(bytes) => bytes,
-                    None => self.decoded(index, size, turn).await?,
+                    None => self.decoded(index, size, permit).await?,
                 }
             }
         };
         let mib = u32::try_from(bytes.len().div_ceil(1 << 20)).unwrap_or(SENDING_MIB);
-        let sent = self.sending.turn(asker, mib).await.ok_or(Refusal::Busy)?;
-        Ok(Bytes::from_owner(Lent { bytes, _sent: sent }))
+        let permit = self.sending.acquire(client, mib).await.ok_or(Refusal::Busy)?;
+        Ok(Bytes::from_owner(SentPhoto { bytes, _permit: permit }))
     }
 
     /// Decodes a photo on this thread.
@@ -138,24 +143,24 @@ impl Photos {
         Ok((*view?.photo.photo()?).clone())
     }
 
-    fn kept(&self, size: Size) -> MutexGuard<'_, Kept> {
-        locked(&self.kept[size as usize])
+    fn cache(&self, size: Size) -> MutexGuard<'_, PhotoCache> {
+        locked(&self.caches[size as usize])
     }
 
     async fn decoded(
         self: &Arc<Photos>,
         index: usize,
         size: Size,
-        turn: Turn,
+        permit: Permit,
     ) -> Result<Arc<Vec<u8>>, Refusal> {
         let photos = self.clone();
         let work = move || {
-            // The turn lasts until decoding ends, even if the page has gone.
-            let _turn = turn;
+            // The permit lasts until decoding ends, even if the page has gone.
+            let _permit = permit;
             let view = photos.gallery.view(index).ok_or(Refusal::Unknown)?;
             let encoded = view.and_then(|view| encode(&*view.photo.photo()?, size));
             let bytes = Arc::new(encoded.map_err(|error| Refusal::Problem(error.to_string()))?);
-            photos.kept(size).add(index, bytes.clone());
+            photos.cache(size).add(index, bytes.clone());
             Ok(bytes)
         };
         tokio::task::spawn_blocking(work).await.unwrap_or(Err(Refusal::Unknown))
@@ -163,12 +168,12 @@ impl Photos {
 }
 
 /// A photo that is being sent.
-struct Lent {
+struct SentPhoto {
     bytes: Arc<Vec<u8>>,
-    _sent: Turn,
+    _permit: Permit,
 }
 
-impl AsRef<[u8]> for Lent {
+impl AsRef<[u8]> for SentPhoto {
     fn as_ref(&self) -> &[u8] {
         &self.bytes
     }

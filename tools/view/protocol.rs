@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 /// Most pixels of a requested picture.
-pub const MOST_PIXELS: u64 = 3840 * 2400;
+pub const MAX_PIXELS: u64 = 3840 * 2400;
 
 /// An edit as a page sends it.
 #[derive(Clone, Debug, Deserialize)]
@@ -19,7 +19,7 @@ pub enum Edit {
     /// Changes the selection among the Gaussians that are drawn and that the page's cut keeps.
     Select {
         region: Region,
-        how: How,
+        how: SelectionOp,
         #[serde(default)]
         cut: CutMessage,
     },
@@ -64,7 +64,7 @@ pub enum Region {
 /// Effect of a region on the selection.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
-pub enum How {
+pub enum SelectionOp {
     Set,
     Add,
     Remove,
@@ -112,8 +112,8 @@ impl CameraMessage {
             camera = camera.with_lens(named.ok_or_else(unknown)?, coefficients);
         }
         camera.check()?;
-        if u64::from(width) * u64::from(height) > MOST_PIXELS {
-            let problem = format!("{width}x{height} pixels are more than {MOST_PIXELS}");
+        if u64::from(width) * u64::from(height) > MAX_PIXELS {
+            let problem = format!("{width}x{height} pixels are more than {MAX_PIXELS}");
             return Err(Error::argument("picture", problem));
         }
         Ok(camera)
@@ -171,7 +171,7 @@ impl Mode {
 /// The page's render settings.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(default)]
-pub struct Look {
+pub struct ViewSettings {
     pub mode: Mode,
     /// None: the background of the training.
     pub background: Option<[f32; 3]>,
@@ -187,7 +187,7 @@ pub struct Look {
     pub selection: bool,
 }
 
-impl Default for Look {
+impl Default for ViewSettings {
     fn default() -> Self {
         Self {
             mode: Mode::Splats,
@@ -208,7 +208,7 @@ pub struct ViewRequest {
     pub seq: u64,
     pub camera: CameraMessage,
     #[serde(default)]
-    pub look: Look,
+    pub look: ViewSettings,
     /// True if the frame is to be renewed while training continues.
     #[serde(default)]
     pub follow: bool,
@@ -224,7 +224,7 @@ pub struct Pick {
     pub id: u64,
     pub camera: CameraMessage,
     #[serde(default)]
-    pub look: Look,
+    pub look: ViewSettings,
     /// Column and row.
     pub pixel: [u32; 2],
 }
@@ -250,7 +250,7 @@ pub struct FilmRequest {
     pub width: u32,
     pub height: u32,
     #[serde(default)]
-    pub look: Look,
+    pub look: ViewSettings,
 }
 
 /// A message from a page.

@@ -2,11 +2,11 @@
 
 use super::appearances::PhotoAppearances;
 use super::cut;
-use super::draw::{self, Audience, Painter, Viewer};
-use super::edits::Part;
+use super::draw::{self, ViewedScene, Viewer, ViewerSettings};
+use super::edits::GaussianSet;
 use super::film::Film;
 use super::hub::{CurrentScene, Hub, SceneAnswer, Task};
-use super::protocol::{self, Look, ToPage, ViewRequest};
+use super::protocol::{self, ToPage, ViewRequest, ViewSettings};
 use super::sizes::Sizes;
 use ashsplat::scene::WorldFrame;
 use ashsplat::{Error, RenderSettings, Result, Trainer};
@@ -19,12 +19,12 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Most films that are encoded at once: each takes a processor, descriptors and a frame's memory.
-const MOST_ASSEMBLED: usize = 2;
+const MAX_ASSEMBLED: usize = 2;
 
 /// Pause before a film checks again for its next frame's tiles: pages are served meanwhile.
-const SHORTLY: Duration = Duration::from_millis(5);
+const TILE_WAIT: Duration = Duration::from_millis(5);
 
-/// Serves pages with pictures of any painter.
+/// Serves pages with pictures of any scene.
 pub struct RenderThread {
     hub: Arc<Hub>,
     /// Render settings that the scene was trained with.
@@ -67,38 +67,38 @@ impl RenderThread {
     ///
     /// # Errors
     /// When the device is lost. Other errors are reported to the page that made the request.
-    pub fn serve(&mut self, painter: &mut dyn Painter, longest: Duration) -> Result<()> {
+    pub fn serve(&mut self, scene: &mut dyn ViewedScene, longest: Duration) -> Result<()> {
         let Some(task) = self.hub.next(longest) else { return Ok(()) };
         match task {
             Task::Frame { client, request } => {
-                self.attend(painter, client, &request.look);
-                let answer = self.answer(painter, &request);
+                self.set_viewer(scene, client, &request.look);
+                let answer = self.answer(scene, &request);
                 let failed = answer.is_err();
                 self.reply(client, answer)?;
                 if failed {
                     // No frame was sent, so the page will not confirm one.
                     self.hub.acknowledge(client);
                 } else {
-                    self.drew(painter, [request.camera.width, request.camera.height]);
+                    self.shrink_if_smaller(scene, [request.camera.width, request.camera.height]);
                 }
             }
             Task::Pick { client, pick } => {
-                self.attend(painter, client, &pick.look);
+                self.set_viewer(scene, client, &pick.look);
                 let settings = draw::settings(&self.base, &pick.look);
                 let report = pick
                     .camera
                     .camera()
-                    .and_then(|camera| Ok((camera, painter.inspect(&camera, &settings, pick.pixel)?)));
+                    .and_then(|camera| Ok((camera, scene.inspect(&camera, &settings, pick.pixel)?)));
                 if report.is_ok() {
-                    self.drew(painter, [pick.camera.width, pick.camera.height]);
+                    self.shrink_if_smaller(scene, [pick.camera.width, pick.camera.height]);
                 }
                 let answer = report
                     .map(|(camera, r)| ToPage::json(&protocol::picked(pick.id, pick.pixel, &camera, &r)));
                 self.reply(client, answer)?;
             }
-            Task::Film => self.go_on_filming(painter)?,
-            Task::Scene { part, answer } => self.hand_over(painter, part, answer)?,
-            Task::Edit { client, edit } => match painter.edit(&edit) {
+            Task::Film => self.render_film_frame(scene)?,
+            Task::Scene { part, answer } => self.send_scene(scene, part, answer)?,
+            Task::Edit { client, edit } => match scene.edit(&edit) {
                 Ok(()) => self.hub.renew(),
                 Err(error) => self.reply(client, Err(error))?,
             },
@@ -107,12 +107,12 @@ impl RenderThread {
     }
 
     /// Answers a request for a frame.
-    fn answer(&self, painter: &mut dyn Painter, request: &ViewRequest) -> Result<ToPage> {
+    fn answer(&self, scene: &mut dyn ViewedScene, request: &ViewRequest) -> Result<ToPage> {
         let camera = request.camera.camera()?;
         let appearance =
-            request.as_photo.map(|photo| self.appearances.of(photo, painter.trainer())).transpose()?;
+            request.as_photo.map(|photo| self.appearances.of(photo, scene.trainer())).transpose()?;
         let start = Instant::now();
-        let drawn = draw::draw(painter, &camera, &self.base, &request.look, appearance)?;
+        let drawn = draw::draw(scene, &camera, &self.base, &request.look, appearance)?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;
         let start = Instant::now();
         let bytes = draw::encode(&drawn.photo, request.look.quality)?;
@@ -126,8 +126,8 @@ impl RenderThread {
             "seq": request.seq, "width": camera.width, "height": camera.height,
             "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
             "render_ms": render_ms, "encode_ms": encode_ms, "stats": stats, "legend": drawn.legend,
-            "iteration": painter.trainer().map(Trainer::iteration), "tree": painter.tree(),
-            "edits": painter.edits(),
+            "iteration": scene.trainer().map(Trainer::iteration), "tree": scene.tree(),
+            "edits": scene.edits(),
             // Options and address that make the same cut of the file.
             "convert": cut::options(&settings, &self.frame),
             "export": cut::query(&settings),
@@ -136,19 +136,19 @@ impl RenderThread {
     }
 
     /// Frees memory if earlier pictures were much larger than this one and those before it.
-    fn drew(&mut self, painter: &mut dyn Painter, [width, height]: [u32; 2]) {
+    fn shrink_if_smaller(&mut self, scene: &mut dyn ViewedScene, [width, height]: [u32; 2]) {
         if self.sizes.note(u64::from(width) * u64::from(height)) {
-            painter.shrink();
+            scene.shrink();
         }
     }
 
-    /// Tells the painter the viewer of the next picture.
-    fn attend(&self, painter: &mut dyn Painter, page: u64, look: &Look) {
-        painter.attend(&Audience {
+    /// Sets the viewer of the next picture.
+    fn set_viewer(&self, scene: &mut dyn ViewedScene, page: u64, look: &ViewSettings) {
+        scene.set_viewer(&ViewerSettings {
             viewer: Viewer { page, films: false },
             budget: look.budget,
             selection: look.selection,
-            is_there: &|viewer| match viewer.films {
+            is_connected: &|viewer| match viewer.films {
                 true => self.film.is_some(),
                 false => self.hub.has_page(viewer.page),
             },
@@ -168,13 +168,13 @@ impl RenderThread {
     }
 
     /// Sends the scene to the thread that writes it to a file.
-    fn hand_over(&self, painter: &dyn Painter, part: Part, answer: SceneAnswer) -> Result<()> {
+    fn send_scene(&self, scene: &dyn ViewedScene, part: GaussianSet, answer: SceneAnswer) -> Result<()> {
         // The requester may have gone.
         if answer.is_closed() {
             return Ok(());
         }
         let marks = WriteOptions { frame: self.frame, ..WriteOptions::marking(&self.base) };
-        match painter.gaussians(part) {
+        match scene.gaussians(part) {
             Ok(gaussians) => drop(answer.send(Ok(CurrentScene { gaussians, marks }))),
             Err(error) => {
                 drop(answer.send(Err(error.to_string())));
@@ -185,30 +185,30 @@ impl RenderThread {
     }
 
     /// Renders one frame of the film in progress, or begins the next film.
-    fn go_on_filming(&mut self, painter: &mut dyn Painter) -> Result<()> {
+    fn render_film_frame(&mut self, scene: &mut dyn ViewedScene) -> Result<()> {
         let Some(mut film) = self.film.take() else {
             self.begin_film();
             return Ok(());
         };
-        if self.hub.film_is_called_off() {
+        if self.hub.film_is_cancelled() {
             self.cancel(&film);
             return Ok(());
         }
         let viewer = Viewer { page: film.client, films: true };
         let budget = film.request.look.budget;
-        painter.attend(&Audience { viewer, budget, selection: false, is_there: &|_| true });
-        match film.advance(painter, &self.base) {
+        scene.set_viewer(&ViewerSettings { viewer, budget, selection: false, is_connected: &|_| true });
+        match film.advance(scene, &self.base) {
             Err(error) => {
                 self.cancel(&film);
                 self.reply(film.client, Err(error))?;
             }
             // The tiles of its next frame are still being read.
             Ok(None) => {
-                std::thread::sleep(SHORTLY);
+                std::thread::sleep(TILE_WAIT);
                 self.film = Some(film);
             }
             Ok(Some(progress)) => {
-                self.drew(painter, [film.request.width, film.request.height]);
+                self.shrink_if_smaller(scene, [film.request.width, film.request.height]);
                 if film.is_rendered() {
                     self.end_film(film.client, ToPage::json(&progress));
                     self.assemble(film, progress);
@@ -224,7 +224,7 @@ impl RenderThread {
     fn begin_film(&mut self) {
         let Some((client, request)) = self.hub.take_film() else { return };
         self.assembling.retain(|thread| !thread.is_finished());
-        let begun = match self.assembling.len() < MOST_ASSEMBLED {
+        let begun = match self.assembling.len() < MAX_ASSEMBLED {
             true => Film::begin(client, request, (&self.films, &self.frame)),
             false => Err(Error::argument("film", "others are being put together: ask again in a while")),
         };

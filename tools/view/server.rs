@@ -10,8 +10,8 @@ mod page;
 
 use super::assets;
 use super::hub::Hub;
-use super::openings::{Openings, Reach};
-use super::photos::{Asker, Photos, Refusal, Size};
+use super::openings::{Openings, PortAccess};
+use super::photos::{Client, Photos, Refusal, Size};
 use ashsplat::{Error, Result};
 use ashsplat_program::session::locked;
 use axum::extract::{Path as UrlPath, State};
@@ -76,7 +76,7 @@ pub fn origin(text: &str) -> std::result::Result<String, String> {
 const WORKERS: usize = 2;
 
 /// State that requests are answered from.
-pub struct Site {
+pub struct AppState {
     hub: Arc<Hub>,
     photos: Mutex<Option<Arc<Photos>>>,
     /// Folder of the films.
@@ -89,16 +89,16 @@ pub struct Site {
     exports: Arc<Semaphore>,
 }
 
-impl Site {
+impl AppState {
     /// `films`: folder of the films.
-    pub fn new(hub: Arc<Hub>, films: PathBuf, serve: ServeArguments) -> Site {
-        let exports = Arc::new(Semaphore::new(export::MOST_EXPORTS));
-        Site { hub, photos: Mutex::default(), films, serve, refused: Once::new(), openings: None, exports }
+    pub fn new(hub: Arc<Hub>, films: PathBuf, serve: ServeArguments) -> AppState {
+        let exports = Arc::new(Semaphore::new(export::MAX_EXPORTS));
+        Self { hub, photos: Mutex::default(), films, serve, refused: Once::new(), openings: None, exports }
     }
 
     /// Lets pages open scenes.
-    pub fn with_openings(self, openings: Option<Arc<Openings>>) -> Site {
-        Site { openings, ..self }
+    pub fn with_openings(self, openings: Option<Arc<Openings>>) -> AppState {
+        AppState { openings, ..self }
     }
 
     /// Replaces the photos.
@@ -112,14 +112,16 @@ impl Site {
 }
 
 /// The machines that reach the open port, also through a proxy.
-pub fn reach(listener: &TcpListener, arguments: &ServeArguments) -> Reach {
+pub fn port_access(listener: &TcpListener, arguments: &ServeArguments) -> PortAccess {
     match listener.local_addr() {
-        Ok(address) if address.ip().is_loopback() && arguments.allow_origin.is_none() => Reach::ThisMachine,
-        _ => Reach::Others,
+        Ok(address) if address.ip().is_loopback() && arguments.allow_origin.is_none() => {
+            PortAccess::ThisMachine
+        }
+        _ => PortAccess::Others,
     }
 }
 
-/// The running server. Dropping it also drops what the site holds, such as an unpacked data set.
+/// The running server. Dropping it also drops what its state holds, such as an unpacked data set.
 pub struct Server {
     /// Address of the page.
     pub address: SocketAddr,
@@ -137,14 +139,14 @@ impl Drop for Server {
 }
 
 /// Starts to serve at an open port.
-pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server> {
-    let site = site.into();
+pub fn start(listener: TcpListener, state: impl Into<Arc<AppState>>) -> Result<Server> {
+    let state = state.into();
     let failed = |e: std::io::Error| Error::argument("viewer", format!("cannot listen: {e}"));
     let address = listener.local_addr().map_err(failed)?;
     listener.set_nonblocking(true).map_err(failed)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         // One more thread lists paths.
-        .max_blocking_threads(WORKERS + export::MOST_EXPORTS + 1)
+        .max_blocking_threads(WORKERS + export::MAX_EXPORTS + 1)
         .enable_all()
         .build()
         .map_err(failed)?;
@@ -152,7 +154,7 @@ pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server
     let serve = async move {
         let listener = tokio::net::TcpListener::from_std(listener)?;
         tokio::select! {
-            () = connections::serve(listener, router(site), Limits::of_process()) => Ok(()),
+            () = connections::serve(listener, router(state), Limits::of_process()) => Ok(()),
             _ = stopped => Ok(()),
         }
     };
@@ -160,7 +162,7 @@ pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server
     let run = move || {
         let ended: std::io::Result<()> = runtime.block_on(serve);
         if let Err(error) = ended {
-            tell!("warning: the viewer's server has ended: {error}");
+            errln!("warning: the viewer's server has ended: {error}");
         }
     };
     let thread = thread.spawn(run).map_err(failed)?;
@@ -199,16 +201,16 @@ pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
     })
 }
 
-fn router(site: Arc<Site>) -> Router {
+fn router(state: Arc<AppState>) -> Router {
     Router::new()
         .route("/socket", get(page::socket).post(page::explain))
         .route(
             "/photo/{index}",
-            get(|site, connection, index, uri| photo(Size::Full, site, connection, index, uri)),
+            get(|state, connection, index, uri| photo(Size::Full, state, connection, index, uri)),
         )
         .route(
             "/thumbnail/{index}",
-            get(|site, connection, index, uri| photo(Size::Thumbnail, site, connection, index, uri)),
+            get(|state, connection, index, uri| photo(Size::Thumbnail, state, connection, index, uri)),
         )
         .route("/film/{name}", get(film))
         .route("/export/{name}", get(export::export))
@@ -217,8 +219,8 @@ fn router(site: Arc<Site>) -> Router {
         .route("/open", post(opening::open))
         .route("/paths", post(opening::paths))
         .fallback(asset)
-        .layer(middleware::from_fn_with_state(site.clone(), access::guard))
-        .with_state(site)
+        .layer(middleware::from_fn_with_state(state.clone(), access::guard))
+        .with_state(state)
 }
 
 async fn asset(uri: Uri) -> Response {
@@ -252,16 +254,16 @@ fn busy(problem: &str) -> Response {
 /// Answers with a photo of the data set as JPEG. Pages send their number, so that one with many requests does not delay the others.
 async fn photo(
     size: Size,
-    State(site): State<Arc<Site>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     UrlPath(index): UrlPath<usize>,
     uri: Uri,
 ) -> Response {
     let page = access::query_value(&uri, "page").and_then(|page| page.parse().ok());
-    let asker = Asker { peer: connection.peer(), page: page.filter(|page| site.hub.has_page(*page)) };
-    let Some(photos) = site.photos() else { return StatusCode::NOT_FOUND.into_response() };
+    let client = Client { peer: connection.peer(), page: page.filter(|page| state.hub.has_page(*page)) };
+    let Some(photos) = state.photos() else { return StatusCode::NOT_FOUND.into_response() };
     // Photo addresses carry the run's name, so another scene at this port has different ones.
-    match photos.jpeg(index, size, asker).await {
+    match photos.jpeg(index, size, client).await {
         Ok(bytes) => {
             let kind = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "max-age=3600")];
             (kind, bytes).into_response()
@@ -273,8 +275,8 @@ async fn photo(
 }
 
 /// Answers with a film's file of this run; other files in the folder are not served.
-async fn film(State(site): State<Arc<Site>>, UrlPath(name): UrlPath<String>) -> Response {
-    if !site.hub.has_film_file(&name) {
+async fn film(State(state): State<Arc<AppState>>, UrlPath(name): UrlPath<String>) -> Response {
+    if !state.hub.has_film_file(&name) {
         return StatusCode::NOT_FOUND.into_response();
     }
     let kind = match name.rsplit_once('.') {
@@ -283,7 +285,7 @@ async fn film(State(site): State<Arc<Site>>, UrlPath(name): UrlPath<String>) -> 
         Some((_, "json")) => "application/json",
         _ => "application/octet-stream",
     };
-    match files::body(&site.films.join(&name)) {
+    match files::body(&state.films.join(&name)) {
         Some(body) => ([(header::CONTENT_TYPE, kind)], body).into_response(),
         None => StatusCode::NOT_FOUND.into_response(),
     }
@@ -302,8 +304,8 @@ mod tests {
         hub.greet_with(&serde_json::json!({}));
         let (host, of_training) = ("127.0.0.1".into(), false);
         let serve = ServeArguments { host, port: 0, token: None, allow_origin: None, of_training };
-        let site = Site::new(hub.clone(), PathBuf::new(), serve.clone());
-        let server = start(open(&serve).expect("a port"), site).expect("a server");
+        let state = AppState::new(hub.clone(), PathBuf::new(), serve.clone());
+        let server = start(open(&serve).expect("a port"), state).expect("a server");
         let address = server.address;
         let page = || {
             let stream = std::net::TcpStream::connect(address).expect("connected");

@@ -3,10 +3,10 @@
 mod loader;
 mod residency;
 
-use super::draw::{Audience, NOT_EDITED, Painter, Viewer};
-use super::edits::{Edits, Part};
+use super::draw::{NOT_EDITED, ViewedScene, Viewer, ViewerSettings};
+use super::edits::{Edits, GaussianSet};
+use super::loaded_scene::{ScenePart, Streamed};
 use super::protocol::Edit;
-use super::subject::{ScenePart, Streamed};
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Buffer, MemoryKind};
 use ashsplat::{
@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 
 /// Draws a scene that is loaded whole, or a tree whose visible tiles are loaded.
-pub struct Scenery {
+pub struct SceneRenderer {
     pub renderer: Renderer,
     streaming: Option<Streaming>,
     /// Created by the first edit.
@@ -40,32 +40,32 @@ pub struct Scenery {
 const SELECTION: ([f32; 3], f32) = ([1.0, 0.45, 0.0], 0.65);
 
 /// Called on any thread: with a message for people, or with none when a tile was loaded or has failed, so that the picture is drawn again.
-pub type Onlooker = Arc<dyn Fn(Option<String>) + Send + Sync>;
+pub type OnTile = Arc<dyn Fn(Option<String>) + Send + Sync>;
 
 /// The displayed tree.
 struct Streaming {
     tree: Arc<Tree>,
     residency: Residency<DeviceScene>,
     loader: Loader,
-    onlooker: Onlooker,
+    on_tile: OnTile,
     /// The program's budget, Gaussians.
     budget: usize,
     /// The current viewer and its budget.
     current: (Viewer, usize),
     /// Most Gaussians that the device has had memory for; caps every viewer's budget.
-    most: usize,
+    limit: usize,
     /// Figures of the last picture.
     shown: Value,
 }
 
-fn upload(renderer: &mut Renderer, gaussians: &Gaussians, wanted: Option<ShStorage>) -> Result<()> {
-    renderer.upload_stored(gaussians, look::stored(wanted, gaussians))
+fn upload(renderer: &mut Renderer, gaussians: &Gaussians, requested: Option<ShStorage>) -> Result<()> {
+    renderer.upload_stored(gaussians, look::stored(requested, gaussians))
 }
 
-impl Scenery {
+impl SceneRenderer {
     /// Shows the renderer's scene.
-    pub fn new(renderer: Renderer, sh_storage: Option<ShStorage>) -> Scenery {
-        Scenery {
+    pub fn new(renderer: Renderer, sh_storage: Option<ShStorage>) -> SceneRenderer {
+        SceneRenderer {
             renderer,
             streaming: None,
             edits: None,
@@ -77,7 +77,7 @@ impl Scenery {
     }
 
     /// Shows a scene, or the tree whose coarsest tile it is.
-    pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, onlooker: Onlooker) -> Result<()> {
+    pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, on_tile: OnTile) -> Result<()> {
         (self.streaming, self.edits, self.mask) = (None, None, None);
         if !gaussians.is_empty() {
             upload(&mut self.renderer, gaussians, self.sh_storage)?;
@@ -86,24 +86,24 @@ impl Scenery {
         self.stored = scene.as_ref().map_or(ShStorage::F32, |scene| scene.plan().sh_storage);
         let (Some(streamed), Some(coarsest)) = (tree, scene) else { return Ok(()) };
         let context = self.renderer.context().clone();
-        let waiting = onlooker.clone();
+        let on_loaded = on_tile.clone();
         // Kernels of recorded frames are built for the storage of the coarsest tile, and for floats.
-        let (coarse, wanted) = (self.stored, self.sh_storage);
+        let (coarse, requested) = (self.stored, self.sh_storage);
         let stored = move |tile: &Gaussians| match coarse {
             ShStorage::F32 => ShStorage::F32,
-            coarse if look::stored(wanted, tile) == coarse => coarse,
+            coarse if look::stored(requested, tile) == coarse => coarse,
             _ => ShStorage::F32,
         };
         self.streaming = Some(Streaming {
             tree: streamed.tree.clone(),
             residency: Residency::new(streamed.tree.clone(), coarsest),
             loader: Loader::start(context, streamed.clone(), gaussians.sh_degree, stored, move || {
-                waiting(None)
+                on_loaded(None)
             })?,
-            onlooker,
+            on_tile,
             budget: streamed.budget,
             current: (Viewer::default(), streamed.budget),
-            most: usize::MAX,
+            limit: usize::MAX,
             shown: Value::Null,
         });
         Ok(())
@@ -138,14 +138,14 @@ impl Scenery {
         loop {
             self.prepare(camera)?;
             let drawn = draw(&mut self.renderer);
-            let more = drawn.as_ref().err().is_some_and(|error| self.make_room(error));
+            let more = drawn.as_ref().err().is_some_and(|error| self.free_memory(error));
             if !more {
                 return drawn;
             }
         }
     }
 
-    /// Same as [`Scenery::scenes`], but returns true if nothing is missing.
+    /// Same as [`SceneRenderer::scenes`], but returns true if nothing is missing.
     fn prepare(&mut self, camera: &Camera) -> Result<bool> {
         if self.streaming.is_some() {
             self.scenes(camera)?;
@@ -165,56 +165,56 @@ impl Scenery {
     }
 
     /// Frees memory after a failed allocation for a picture. True if anything was freed.
-    pub fn make_room(&mut self, error: &Error) -> bool {
-        is_memory(error) && self.streaming.as_mut().is_some_and(|streaming| streaming.make_room(error))
+    pub fn free_memory(&mut self, error: &Error) -> bool {
+        is_memory(error) && self.streaming.as_mut().is_some_and(|streaming| streaming.free_memory(error))
     }
 
     /// Most Gaussians and tiles of a picture of the tree; none for a scene that is loaded whole.
     #[cfg(feature = "window")]
-    pub fn reach(&self) -> Option<[usize; 2]> {
+    pub fn capacity(&self) -> Option<[usize; 2]> {
         let streaming = self.streaming.as_ref()?;
         let tiles = streaming.tree.tiles();
-        let most =
-            streaming.budget.min(streaming.most).min(streaming.tree.gaussians()).max(tiles[0].gaussians);
+        let gaussians =
+            streaming.budget.min(streaming.limit).min(streaming.tree.gaussians()).max(tiles[0].gaussians);
         // No tile of a picture is an ancestor of another, so count the smallest tiles that fit.
         let mut smallest: Vec<usize> = tiles.iter().map(|tile| tile.gaussians).collect();
         smallest.sort_unstable();
-        let mut rest = most;
+        let mut rest = gaussians;
         let fits = |gaussians: &usize| {
             let left = rest.checked_sub(*gaussians);
             rest = left.unwrap_or(rest);
             left.is_some()
         };
-        Some([most, smallest.into_iter().take_while(fits).count().max(1)])
+        Some([gaussians, smallest.into_iter().take_while(fits).count().max(1)])
     }
 }
 
 impl Streaming {
     /// Prints a message, and shows it to the viewers.
     fn say(&self, problem: String) {
-        tell!("{problem}");
-        (self.onlooker)(Some(problem));
+        errln!("{problem}");
+        (self.on_tile)(Some(problem));
     }
 
     /// Frees memory for a picture whose allocation failed. True if anything was freed.
-    fn make_room(&mut self, error: &Error) -> bool {
-        if self.residency.make_room() {
+    fn free_memory(&mut self, error: &Error) -> bool {
+        if self.residency.evict_unwanted() {
             return true;
         }
-        let least = self.tree.tiles()[0].gaussians;
-        let budget = self.current.1.min(self.most).min(self.tree.gaussians());
-        if budget <= least {
+        let coarsest = self.tree.tiles()[0].gaussians;
+        let budget = self.current.1.min(self.limit).min(self.tree.gaussians());
+        if budget <= coarsest {
             return false;
         }
-        self.most = (budget / 2).max(least);
-        let most = self.most;
-        self.say(format!("no memory for {budget} Gaussians, at most {most} are drawn from now on: {error}"));
+        self.limit = (budget / 2).max(coarsest);
+        let limit = self.limit;
+        self.say(format!("no memory for {budget} Gaussians, at most {limit} are drawn from now on: {error}"));
         true
     }
 
     fn scenes(&mut self, camera: &Camera) -> Vec<DeviceScene> {
-        for (tile, arrived) in self.loader.arrivals() {
-            match arrived {
+        for (tile, scene) in self.loader.arrivals() {
+            match scene {
                 Ok(scene) => self.residency.add(tile, scene),
                 Err(error) => {
                     if let Some(problem) = self.residency.fail(tile, &error) {
@@ -224,9 +224,9 @@ impl Streaming {
             }
         }
         let (viewer, requested) = self.current;
-        let budget = requested.min(self.most);
+        let budget = requested.min(self.limit);
         let cut = self.residency.cut(viewer, &Demand::of(camera, budget));
-        self.loader.ask(cut.missing.iter().copied());
+        self.loader.request(cut.missing.iter().copied());
         let (resident, resident_gaussians) = self.residency.resident();
         self.shown = json!({
             "of": self.tree.gaussians(), "budget": budget, "drawn": cut.drawn.len(), "wanted": cut.wanted,
@@ -237,7 +237,7 @@ impl Streaming {
     }
 }
 
-impl Painter for Scenery {
+impl ViewedScene for SceneRenderer {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let (color, share) = SELECTION;
         let mask = self.mask.clone().filter(|_| self.shows_selection);
@@ -272,15 +272,15 @@ impl Painter for Scenery {
         Ok(report)
     }
 
-    fn gaussians(&self, part: Part) -> Result<Gaussians> {
+    fn gaussians(&self, part: GaussianSet) -> Result<Gaussians> {
         if self.streaming.is_some() {
             let problem = "is not saved from here: it is not whole; `ashsplat convert` reads the scene that it was made of";
             return Err(Error::argument("a tree of tiles", problem));
         }
         match (&self.edits, part) {
             (Some(edits), _) => edits.part(part),
-            (None, Part::Seen) => self.renderer.gaussians(),
-            (None, Part::Selection) => Err(Error::argument("part", "nothing is selected")),
+            (None, GaussianSet::Visible) => self.renderer.gaussians(),
+            (None, GaussianSet::Selection) => Err(Error::argument("part", "nothing is selected")),
         }
     }
 
@@ -295,9 +295,9 @@ impl Painter for Scenery {
         let applied = edits.apply(edit);
         let edits = self.edits.insert(edits);
         let mut show = |seen: Gaussians| upload(&mut self.renderer, &seen, self.sh_storage);
-        if applied? && let Err(error) = show(edits.part(Part::Seen)?) {
+        if applied? && let Err(error) = show(edits.part(GaussianSet::Visible)?) {
             edits.take_back(edit)?;
-            show(edits.part(Part::Seen)?)?;
+            show(edits.part(GaussianSet::Visible)?)?;
             return Err(error);
         }
         self.mask = None;
@@ -319,12 +319,12 @@ impl Painter for Scenery {
         self.renderer.shrink();
     }
 
-    fn attend(&mut self, audience: &Audience<'_>) {
-        self.shows_selection = audience.selection;
+    fn set_viewer(&mut self, settings: &ViewerSettings<'_>) {
+        self.shows_selection = settings.selection;
         let Some(streaming) = &mut self.streaming else { return };
-        let requested = audience.budget.map(|budget| usize::try_from(budget).unwrap_or(usize::MAX));
-        streaming.current = (audience.viewer, requested.unwrap_or(streaming.budget));
-        streaming.residency.keep_viewers(audience.is_there);
+        let requested = settings.budget.map(|budget| usize::try_from(budget).unwrap_or(usize::MAX));
+        streaming.current = (settings.viewer, requested.unwrap_or(streaming.budget));
+        streaming.residency.keep_viewers(settings.is_connected);
     }
 
     fn is_ready(&mut self, camera: &Camera) -> Result<bool> {

@@ -12,22 +12,22 @@ mod navigation;
 mod pace;
 mod picture;
 mod present;
-mod stage;
 mod text;
+mod viewer;
 mod words;
 
 use super::Arguments;
-use super::streamed::Scenery;
+use super::streamed::SceneRenderer;
 use app::App;
 use ashsplat::{Error, Renderer, Result};
 use ashsplat_program::session::locked;
 use picture::Picture;
 use present::unfit;
-use stage::Stage;
 use std::panic;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
+use viewer::WindowViewer;
 use winit::event_loop::EventLoop;
 use words::no_display;
 
@@ -36,7 +36,7 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
     // A missing display is reported before anything is loaded.
     let events = open()?;
     let instance_extensions = present::instance_extensions(&events)?;
-    let subject = arguments.subject(&stop)?;
+    let scene = arguments.load_path(&stop)?;
     let opened = arguments.device.context_with(|options| {
         // Frames recorded into a host's command buffers cannot read texels.
         options.texels = false;
@@ -51,22 +51,22 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
         }
         _ => error,
     })?;
-    let mut scenery = Scenery::new(Renderer::new(&context)?, arguments.look.sh_storage);
+    let mut scene_renderer = SceneRenderer::new(Renderer::new(&context)?, arguments.look.sh_storage);
     let wake = Mutex::new(events.create_proxy());
     // A loop that has ended needs no waking.
-    let onlooker = move |problem: Option<String>| drop(locked(&wake).send_event(problem));
-    scenery.show(&subject.gaussians, subject.tree.as_ref(), Arc::new(onlooker))?;
-    let picture = Picture::new(scenery, subject.gaussians.sh_degree)?;
-    let stage = Stage::new(subject, picture, context.device_name(), out);
-    let mut app = App::new(stage, context.clone(), stop, !arguments.no_vsync);
-    say!("window on {}; ? lists the keys", context.device_name());
+    let on_tile = move |problem: Option<String>| drop(locked(&wake).send_event(problem));
+    scene_renderer.show(&scene.gaussians, scene.tree.as_ref(), Arc::new(on_tile))?;
+    let picture = Picture::new(scene_renderer, scene.gaussians.sh_degree)?;
+    let viewer = WindowViewer::new(scene, picture, context.device_name(), out);
+    let mut app = App::new(viewer, context.clone(), stop, !arguments.no_vsync);
+    outln!("window on {}; ? lists the keys", context.device_name());
     let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));
     let failed = app.close();
     drop(app);
     // Closing destroys the device and reports what validation says of that.
     let left = || vec!["the window is closed, and something of it still holds the device".to_owned()];
     for message in context.close().unwrap_or_else(left) {
-        tell!("validation: {message}");
+        errln!("validation: {message}");
     }
     failed.map_or(ended, Err)
 }

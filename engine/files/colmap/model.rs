@@ -219,13 +219,13 @@ pub fn tracks(model: &Model) -> Result<HashMap<u32, Vec<[f64; 3]>>> {
 /// A warning if points do not lie where the photos show them, because poses, points or cameras were changed separately.
 pub(crate) fn contradiction(model: &Model) -> Option<String> {
     /// Larger models are skipped: reading their observations would take too long.
-    const MOST_BYTES: u64 = 32 << 20;
+    const MAX_BYTES: u64 = 32 << 20;
     const SAMPLE: usize = 1000;
-    const LEAST: usize = 100;
+    const MIN_POINTS: usize = 100;
     /// Share of the photo's larger side.
     const FAR: f64 = 0.05;
     let bytes = |file: PathBuf| std::fs::metadata(file).map_or(u64::MAX, |file| file.len());
-    if bytes(model.file("images")).saturating_add(bytes(points_file(&model.source)?)) > MOST_BYTES {
+    if bytes(model.file("images")).saturating_add(bytes(points_file(&model.source)?)) > MAX_BYTES {
         return None;
     }
     let (observed, positions) = observed(model).ok()?;
@@ -245,7 +245,7 @@ pub(crate) fn contradiction(model: &Model) -> Option<String> {
     let mut errors: Vec<f64> =
         all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).filter_map(error).collect();
     errors.sort_unstable_by(f64::total_cmp);
-    let median = *errors.get(errors.len() / 2).filter(|_| errors.len() >= LEAST)?;
+    let median = *errors.get(errors.len() / 2).filter(|_| errors.len() >= MIN_POINTS)?;
     (median > FAR).then(|| {
         format!(
             "{}: its points do not lie where its photos show them (in the median {:.0} % of a photo's side away): poses and points do \
@@ -273,10 +273,10 @@ fn compare_rigs(
     }
     let (rigs, frames) = (records::rigs(&rigs_file)?, records::frames(&frames_file)?);
     let used = used.file_name().unwrap_or_default().display();
-    let most = rigs.values().map(HashMap::len).max().unwrap_or(0);
-    let note = (most > 1).then(|| {
+    let max = rigs.values().map(HashMap::len).max().unwrap_or(0);
+    let note = (max > 1).then(|| {
         let (file, rigs, frames) = (rigs_file.display(), rigs.len(), frames.len());
-        format!("{file}: {rigs} rigs of up to {most} sensors, {frames} frames: the poses are those of {used}")
+        format!("{file}: {rigs} rigs of up to {max} sensors, {frames} frames: the poses are those of {used}")
     });
     let by_id: HashMap<u64, &ColmapImage> = images.iter().map(|image| (image.id.into(), image)).collect();
     let tolerance = Tolerance::of(images);

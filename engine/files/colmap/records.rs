@@ -450,10 +450,10 @@ impl<'a> Records<'a> {
         Ok(!self.is_ahead)
     }
 
-    /// Reads bytes up to this one, at most `most`. Returns their number.
-    fn read_until(&mut self, end: u8, most: u64, bytes: &mut Vec<u8>) -> Result<usize> {
-        let most = most.min(self.remaining);
-        let read = Read::take(&mut self.reader, most).read_until(end, bytes).reading(self.path)?;
+    /// Reads bytes up to this one, at most `max_bytes`. Returns their number.
+    fn read_until(&mut self, end: u8, max_bytes: u64, bytes: &mut Vec<u8>) -> Result<usize> {
+        let max_bytes = max_bytes.min(self.remaining);
+        let read = Read::take(&mut self.reader, max_bytes).read_until(end, bytes).reading(self.path)?;
         self.remaining -= read as u64;
         Ok(read)
     }

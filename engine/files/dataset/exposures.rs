@@ -13,22 +13,22 @@ use ashsplat::Result;
 use ashsplat::scene::Camera;
 
 /// Number of photographs up to which each is compared. A larger set is sampled.
-const MOST_VIEWS: usize = 64;
+const MAX_VIEWS: usize = 64;
 /// Number of photographs that a photograph is compared with.
 const NEIGHBOURS: usize = 3;
 /// Most points that are looked for in each photograph, without observations.
 const POINTS: usize = 4000;
 /// Least common points of two photographs that are compared.
-const LEAST_POINTS: usize = 30;
+const MIN_POINTS: usize = 30;
 /// Least cosine between the directions from a common point to both cameras. Farther apart, surfaces themselves look different.
-const LEAST_COSINE: f32 = 0.966;
+const MIN_COSINE: f32 = 0.966;
 /// Luminances that are neither black nor saturated.
 const MEASURED: std::ops::Range<f32> = 0.04..0.96;
 /// Longest file of observations that is read; reading a longer one would delay the training.
-const MOST_BYTES: u64 = 256 << 20;
+const MAX_BYTES: u64 = 256 << 20;
 
 /// The points that a photograph shows.
-struct Shown {
+struct PhotoLuminances {
     position: Vec3,
     /// Logarithm (base 2) of the mean luminance around each point, by the bits of its position.
     luminances: HashMap<[u32; 3], f64>,
@@ -43,7 +43,7 @@ impl Gallery {
     /// If the data set has no observations, a photograph shows the points in its view that lie behind no others. Returns `None` if
     /// too few photographs have such points in common.
     pub fn exposure_spread(&self) -> Result<Option<f64>> {
-        let tracks = self.shown_points(MOST_BYTES)?;
+        let tracks = self.shown_points(MAX_BYTES)?;
         let observed = tracks.iter().any(Option::is_some);
         let points = &self.points().positions;
         let sampled = points.iter().step_by(points.len().div_ceil(POINTS).max(1));
@@ -56,11 +56,15 @@ impl Gallery {
                     if observed { tracks[index].clone().unwrap_or_default() } else { in_front(&view, &all) };
                 Ok((
                     index,
-                    Shown { position: view.camera.position(), luminances: luminances(&view, &track)? },
+                    PhotoLuminances {
+                        position: view.camera.position(),
+                        luminances: luminances(&view, &track)?,
+                    },
                 ))
             }))
         };
-        let shown: HashMap<usize, Shown> = needed.par_iter().filter_map(shown).collect::<Result<_>>()?;
+        let shown: HashMap<usize, PhotoLuminances> =
+            needed.par_iter().filter_map(shown).collect::<Result<_>>()?;
         let differences: Vec<f64> =
             compared.iter().filter_map(|view| difference_from_neighbours(*view, &shown)).collect();
         let squares: f64 = differences.iter().map(|difference| difference * difference).sum();
@@ -71,11 +75,11 @@ impl Gallery {
     /// The training views to compare, and those and their neighbours.
     fn exposure_sample(&self) -> (Vec<usize>, Vec<usize>) {
         let trained: Vec<usize> = self.trained().map(|(index, _)| index).collect();
-        if trained.len() <= MOST_VIEWS {
+        if trained.len() <= MAX_VIEWS {
             return (trained.clone(), trained);
         }
         let cameras: Vec<Camera> = self.cameras().iter().map(|named| named.camera).collect();
-        let step = trained.len().div_ceil(MOST_VIEWS / (1 + NEIGHBOURS));
+        let step = trained.len().div_ceil(MAX_VIEWS / (1 + NEIGHBOURS));
         let compared: Vec<usize> = trained.iter().copied().step_by(step).collect();
         let needed: BTreeSet<usize> =
             compared.iter().flat_map(|&view| nearest(view, &trained, &cameras)).collect();
@@ -96,7 +100,7 @@ fn nearest(view: usize, views: &[usize], cameras: &[Camera]) -> Vec<usize> {
 }
 
 /// Mean by which a view is brighter than those with the most common points, stops; `None` if there are none.
-fn difference_from_neighbours(view: usize, shown: &HashMap<usize, Shown>) -> Option<f64> {
+fn difference_from_neighbours(view: usize, shown: &HashMap<usize, PhotoLuminances>) -> Option<f64> {
     let own = shown.get(&view)?;
     let mut compared: Vec<(usize, f64)> = Vec::new();
     for (_, other) in shown.iter().filter(|(other, _)| **other != view) {
@@ -104,10 +108,10 @@ fn difference_from_neighbours(view: usize, shown: &HashMap<usize, Shown>) -> Opt
         let difference = |(key, luminance): (&[u32; 3], &f64)| {
             let point = Vec3::from_array(key.map(f32::from_bits));
             let cosine = towards(own.position, point).dot(towards(other.position, point));
-            other.luminances.get(key).filter(|_| cosine >= LEAST_COSINE).map(|theirs| luminance - theirs)
+            other.luminances.get(key).filter(|_| cosine >= MIN_COSINE).map(|theirs| luminance - theirs)
         };
         let mut all: Vec<f64> = own.luminances.iter().filter_map(difference).collect();
-        if all.len() >= LEAST_POINTS {
+        if all.len() >= MIN_POINTS {
             let middle = all.len() / 2;
             compared.push((all.len(), *all.select_nth_unstable_by(middle, f64::total_cmp).1));
         }
@@ -132,8 +136,8 @@ fn in_front(view: &View, points: &[Vec3]) -> Track {
     let placed: Vec<_> = points.iter().filter_map(placed).collect();
     let mut nearest: HashMap<[u32; 2], f32> = HashMap::new();
     for (cell, inverse_z, _) in &placed {
-        let least = nearest.entry(*cell).or_default();
-        *least = least.max(*inverse_z);
+        let cell_max = nearest.entry(*cell).or_default();
+        *cell_max = cell_max.max(*inverse_z);
     }
     let in_front = placed.into_iter().filter(|(cell, inverse_z, _)| inverse_z * BEHIND >= nearest[cell]);
     in_front.map(|(.., point)| point).collect()

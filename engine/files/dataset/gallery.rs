@@ -219,13 +219,13 @@ impl Gallery {
     }
 
     /// The points that each training view shows; empty for data sets that do not say so, and for longer files of observations.
-    pub(super) fn shown_points(&self, most_bytes: u64) -> Result<Vec<Option<Track>>> {
+    pub(super) fn shown_points(&self, max_bytes: u64) -> Result<Vec<Option<Track>>> {
         let folder = &self.unpacked.folder;
         if !colmap::exists(folder) || self.plan.source.extension().is_some_and(|ending| ending == "json") {
             return Ok(Vec::new());
         }
         let model = Model::of_dataset(folder).map_err(|error| self.unpacked.name(error))?;
-        if std::fs::metadata(model.file("images")).is_ok_and(|file| file.len() > most_bytes) {
+        if std::fs::metadata(model.file("images")).is_ok_and(|file| file.len() > max_bytes) {
             return Ok(Vec::new());
         }
         let mut shown = colmap::tracks(&model).map_err(|error| self.unpacked.name(error))?;

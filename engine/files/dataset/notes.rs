@@ -238,9 +238,9 @@ mod tests {
         for asked in [Resolution::Factor(1), Resolution::Factor(8), Resolution::Width(800)] {
             assert_eq!(of(asked), None, "{asked}");
         }
-        let said = scaling_note(&sizes, Resolution::Factor(8));
+        let note = scaling_note(&sizes, Resolution::Factor(8));
         assert_eq!(
-            said.as_deref(),
+            note.as_deref(),
             Some("photos of up to 4000x3000 pixels are used at 500x375 pixels (-r 8)")
         );
         assert_eq!(scaling_note(&sizes, Resolution::Factor(1)), None);

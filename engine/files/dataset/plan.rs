@@ -195,7 +195,7 @@ impl Plan {
     /// Warns of points that hardly any camera sees: they belong to another frame or another scene.
     pub(super) fn warn_of_points_out_of_view(&mut self) {
         const SAMPLE: usize = 500;
-        const LEAST_SEEN: f32 = 0.1;
+        const MIN_SEEN: f32 = 0.1;
         let views = self.views.iter().step_by(self.views.len().div_ceil(SAMPLE).max(1));
         let cameras: Vec<Camera> = views.map(PlannedView::camera).collect();
         let sample = |count: usize| {
@@ -204,7 +204,7 @@ impl Plan {
         };
         let (all, source) = (sample(SAMPLE).count(), self.source.display());
         let seen = sample(SAMPLE).filter(|&p| cameras.iter().any(|camera| camera.sees(p))).count();
-        if !cameras.is_empty() && (seen as f32) < LEAST_SEEN * all as f32 {
+        if !cameras.is_empty() && (seen as f32) < MIN_SEEN * all as f32 {
             self.warnings.push(format!(
                 "{source}: {seen} of {all} of its points (a sample) lie in the view of a camera: are they of another frame or scene?"
             ));
@@ -212,9 +212,9 @@ impl Plan {
         }
         // With poses from world to camera, many cameras look past the scene. In large scenes each camera sees few points, but some.
         const DENSE: usize = 20_000;
-        const LEAST_CAMERAS: usize = 10;
+        const MIN_CAMERAS: usize = 10;
         let blind = cameras.iter().filter(|camera| !sample(DENSE).any(|point| camera.sees(point))).count();
-        if self.points.len() >= SAMPLE && cameras.len() >= LEAST_CAMERAS && 5 * blind >= cameras.len() {
+        if self.points.len() >= SAMPLE && cameras.len() >= MIN_CAMERAS && 5 * blind >= cameras.len() {
             let all = cameras.len();
             self.warn(format!(
                 "{blind} of {all} of its cameras (a sample) see none of the points: are the poses right, and from camera to world?"

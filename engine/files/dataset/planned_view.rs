@@ -397,13 +397,13 @@ impl Mask {
             let [at, to, from] = [at, to, from].map(u64::from);
             (at * from / to) as usize..((at + 1) * from).div_ceil(to) as usize
         };
-        let least = |x: u32, y: u32| {
+        let lowest = |x: u32, y: u32| {
             let columns = covered(x, width, self.width);
             let rows = covered(y, height, self.height).map(|row| row * self.width as usize);
             rows.flat_map(|row| &self.values[row + columns.start..row + columns.end]).min().copied()
         };
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-        let values = pixels.map(|(x, y)| least(x, y).unwrap_or_default()).collect();
+        let values = pixels.map(|(x, y)| lowest(x, y).unwrap_or_default()).collect();
         Self { width, height, values }
     }
 

@@ -108,12 +108,12 @@ impl Plan {
         };
         let mut finder = Finder::default();
         let paths = plan.photo_paths(&images, &folder, &mut finder);
-        let asked = images.iter().zip(&paths).map(|(image, path)| {
+        let requests = images.iter().zip(&paths).map(|(image, path)| {
             let camera = model.cameras.get(&image.camera_id);
             (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
         });
         // COLMAP itself never rotates photos, so no warning is needed if no size shows otherwise.
-        let (photos, _) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
+        let (photos, _) = photos::turned(&requests.collect::<Vec<_>>(), options.orientation);
         let view = |((image, photo_path), photo): ((&ColmapImage, Result<PathBuf>), FileSize)| {
             model.camera_of(image)?;
             let Some(&(lens, Some(used))) = lenses.get(&image.camera_id) else {
@@ -253,8 +253,8 @@ impl Plan {
             );
             return Err(Error::argument("images", problem));
         }
-        let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
-        let (photos, undecided) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
+        let requests = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
+        let (photos, undecided) = photos::turned(&requests.collect::<Vec<_>>(), options.orientation);
         plan.warnings.extend(photos::unknown_rotation(&plan.list, undecided));
         let mut lenses = UsedLenses::new(options);
         for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {

@@ -439,8 +439,8 @@ fn blocks(frame: &[u8]) -> u64 {
     let Some((&[_, h1, h0, w1, w0, _], components)) = frame.split_first_chunk() else { return 0 };
     let [width, height] = [[w1, w0], [h1, h0]].map(|side| u64::from(u16::from_be_bytes(side)));
     let factors = components.as_chunks::<3>().0.iter().map(|c| [u64::from(c[1] >> 4), u64::from(c[1] & 15)]);
-    let (most, sum) = factors.fold(([1, 1], 0), |([x, y], sum), [h, v]| ([x.max(h), y.max(v)], sum + h * v));
-    width / (8 * most[0]) * (height / (8 * most[1])) * sum
+    let (max, sum) = factors.fold(([1, 1], 0), |([x, y], sum), [h, v]| ([x.max(h), y.max(v)], sum + h * v));
+    width / (8 * max[0]) * (height / (8 * max[1])) * sum
 }
 
 /// End of the entropy-coded data from `at`: the next marker that is neither stuffing nor a restart.

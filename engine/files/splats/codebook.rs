@@ -11,7 +11,7 @@ pub(super) const LEVELS: usize = 256;
 const SCALAR_ROUNDS: usize = 60;
 /// Bins of the histogram that the first values are chosen by.
 const BINS: usize = 4096;
-const MOST_VECTORS: usize = 1 << 16;
+const MAX_VECTORS: usize = 1 << 16;
 /// Rounds within a part of the vectors.
 const PART_ROUNDS: usize = 4;
 /// Rounds over all vectors, in which each may change its part.
@@ -131,7 +131,7 @@ fn distinct(inputs: Vectors<'_>) -> (Vec<f32>, Vec<u32>, Vec<u32>) {
 fn palette_size(inputs: usize) -> usize {
     match inputs / 1024 {
         0 => inputs,
-        thousands => ((1 << thousands.ilog2()) * 1024).min(MOST_VECTORS),
+        thousands => ((1 << thousands.ilog2()) * 1024).min(MAX_VECTORS),
     }
 }
 

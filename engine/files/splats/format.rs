@@ -326,7 +326,7 @@ impl Format {
 /// Farthest origin, source units: the square of a coordinate must not overflow in single precision.
 pub(crate) const FARTHEST: f64 = 1e18;
 /// Largest such file, bytes.
-const MOST_BYTES: u64 = 4096;
+const MAX_BYTES: u64 = 4096;
 
 #[derive(Serialize, Deserialize)]
 struct OriginJson {
@@ -345,7 +345,7 @@ pub(super) fn read_origin(path: &Path) -> Result<DVec3> {
     if !path.is_file() {
         return Ok(DVec3::ZERO);
     }
-    let text = regular_file::read_at_most(&path, MOST_BYTES)?.unwrap_or_default();
+    let text = regular_file::read_at_most(&path, MAX_BYTES)?.unwrap_or_default();
     let json = serde_json::from_slice::<OriginJson>(&text).map_err(|e| e.to_string());
     let origin = json.and_then(|json| match DVec3::from_array(json.origin) {
         origin if origin.abs().max_element() <= FARTHEST => Ok(origin),

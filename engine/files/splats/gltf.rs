@@ -34,11 +34,11 @@ const OPACITY_MARGIN: f64 = 3e-8;
 /// Largest rounding error of an opacity beyond 0 and 1.
 const OPACITY_SLACK: f32 = 1e-3;
 /// Largest number of placed primitives.
-const MOST_PARTS: usize = 1 << 16;
+const MAX_PARTS: usize = 1 << 16;
 /// Number of Gaussians that may be placed any number of times, however few the file has.
 const FREE_GAUSSIANS: u64 = 1 << 20;
 /// Largest number of uses of each byte of the file, if there are more Gaussians than these.
-const MOST_USES: u64 = 16;
+const MAX_USES: u64 = 16;
 
 /// A primitive of Gaussians at a node.
 struct Part {
@@ -110,14 +110,14 @@ pub(super) fn open(path: &Path, format: Format, options: &ReadOptions) -> Result
             parts.push(part);
             // A few bytes could claim any number of Gaussians, placed at many nodes. Packed ones are unpacked for
             // each node.
-            let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held
-                || uses.get(&(mesh_index, index)).is_some_and(|&uses| uses > MOST_USES);
-            if copies || parts.len() > MOST_PARTS {
+            let copies = header.count > FREE_GAUSSIANS && used / MAX_USES > held
+                || uses.get(&(mesh_index, index)).is_some_and(|&uses| uses > MAX_USES);
+            if copies || parts.len() > MAX_PARTS {
                 let (count, places) = (header.count, parts.len());
                 let problem = format!(
                     "places the same Gaussians again and again: {count} or more at {places} places from {held} bytes"
                 );
-                let remedy = format!("place each at most {MOST_USES} times, at {MOST_PARTS} places in all");
+                let remedy = format!("place each at most {MAX_USES} times, at {MAX_PARTS} places in all");
                 return Err(Error::input(path, problem, remedy));
             }
         }

@@ -85,8 +85,8 @@ fn free_binary(path: &Path) -> PathBuf {
 /// The binary that an earlier `.gltf` of this crate names.
 fn named_binary(path: &Path) -> Option<PathBuf> {
     /// Longer files are not from this crate.
-    const MOST_BYTES: u64 = 1 << 16;
-    let text = regular_file::read_at_most(path, MOST_BYTES).ok()??;
+    const MAX_BYTES: u64 = 1 << 16;
+    let text = regular_file::read_at_most(path, MAX_BYTES).ok()??;
     let document: Value = serde_json::from_slice(&text).ok()?;
     let is_own = document["asset"]["generator"].as_str()?.starts_with("ashsplat ");
     let stem = path.file_stem()?.to_str()?;

@@ -117,11 +117,11 @@ pub(super) fn open(path: &Path) -> Result<Opened<'_>> {
         let mut head = [0; SECTION_HEADER_BYTES as usize];
         reader.read_exact(&mut head).reading(path)?;
         cost::step();
-        let [count, most, bucket_rows, buckets, full_buckets, others] =
+        let [count, max, bucket_rows, buckets, full_buckets, others] =
             [0, 4, 8, 12, 32, 36].map(|at| u64::from(u32_at(&head, at)));
         let [bucket_bytes, sh_degree] = [20, 40].map(|at| u16::from_le_bytes([head[at], head[at + 1]]));
         let sh_degree = u32::from(sh_degree);
-        if sh_degree > 3 || count > most || (buckets > 0 && u64::from(bucket_bytes) != CENTER_BYTES) {
+        if sh_degree > 3 || count > max || (buckets > 0 && u64::from(bucket_bytes) != CENTER_BYTES) {
             return Err(damaged(path, format!("the header of section {number} makes no sense")));
         }
         let middle = Some(u32_at(&head, 24)).filter(|middle| *middle != 0).unwrap_or(MIDDLE) as f32;
@@ -138,7 +138,7 @@ pub(super) fn open(path: &Path) -> Result<Opened<'_>> {
             middle,
             step: f32::from_bits(u32_at(&head, 16)) / 2.0 / middle,
         });
-        at = rows_at + packing.row_bytes(sh_degree) * most;
+        at = rows_at + packing.row_bytes(sh_degree) * max;
         if at > bytes {
             return Err(damaged(path, format!("section {number} ends at byte {at} of {bytes}")));
         }

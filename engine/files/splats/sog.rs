@@ -27,16 +27,16 @@ use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
 
 /// Largest description, bytes: three codebooks of 256 numbers take 16 KB.
-const MOST_META_BYTES: u64 = 1 << 20;
+const MAX_META_BYTES: u64 = 1 << 20;
 /// Largest number of pixels of a picture beyond those of its Gaussians.
 const SPARE_PIXELS: u64 = 1 << 16;
 /// SH vectors in a row of the palette's picture.
 const PALETTE_COLUMNS: usize = 64;
 /// Largest number of SH vectors: an index has 16 bits.
-const MOST_VECTORS: usize = 1 << 16;
+const MAX_VECTORS: usize = 1 << 16;
 /// Alpha of a quaternion whose w is omitted; x, y and z follow.
 const OMITS_W: u8 = 252;
-const MOST_SIDE: usize = 16_383;
+const MAX_SIDE: usize = 16_383;
 const VERSION: u32 = 2;
 
 /// `meta.json` of both versions.
@@ -122,7 +122,7 @@ type Pixels = Vec<[u8; 4]>;
 
 pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>> {
     let members = Members::open(path, options)?;
-    let text = members.read(META, MOST_META_BYTES)?;
+    let text = members.read(META, MAX_META_BYTES)?;
     regular_file::check_json(path, &text, options.max_host_memory)?;
     let meta: Meta = serde_json::from_slice(&text).map_err(|e| damaged(path, format!("{META}: {e}")))?;
     if !(1..=VERSION).contains(&meta.version) {
@@ -130,9 +130,9 @@ pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>
         return Err(Error::input(path, problem, "write it again as version 2"));
     }
     let count = if meta.version == 1 { meta.means.shape.first().copied() } else { meta.count };
-    let most = (MOST_SIDE * MOST_SIDE) as u64;
-    let count = count.filter(|count| *count <= most).ok_or_else(|| {
-        damaged(path, format!("{META}: the number of Gaussians is missing or above {most}"))
+    let max_count = (MAX_SIDE * MAX_SIDE) as u64;
+    let count = count.filter(|count| *count <= max_count).ok_or_else(|| {
+        damaged(path, format!("{META}: the number of Gaussians is missing or above {max_count}"))
     })?;
     let antialiased = meta.antialias;
     let sog = Sog { members, meta, count };
@@ -145,8 +145,8 @@ impl Sog {
     /// SH degree of the palette. Version 1 tells it by the width of the picture alone.
     fn degree(&self) -> Result<u32> {
         let Some(palette) = &self.meta.higher else { return Ok(0) };
-        if palette.count.is_some_and(|count| count > MOST_VECTORS) {
-            return Err(self.damaged(format!("{META}: shN has more than {MOST_VECTORS} vectors")));
+        if palette.count.is_some_and(|count| count > MAX_VECTORS) {
+            return Err(self.damaged(format!("{META}: shN has more than {MAX_VECTORS} vectors")));
         }
         if let Some(bands) = palette.bands.filter(|bands| (1..=3).contains(bands)) {
             return Ok(bands);
@@ -163,8 +163,8 @@ impl Sog {
     fn packed<'a>(&self, attribute: &'a Attribute, index: usize) -> Result<(&'a str, Vec<u8>)> {
         let name =
             attribute.files.get(index).ok_or_else(|| self.damaged(format!("{META} names too few files")))?;
-        let most = 8 * (self.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64;
-        Ok((name, self.members.read(name, most)?))
+        let max_bytes = 8 * (self.count + SPARE_PIXELS) + 4 * (MAX_VECTORS * 16) as u64;
+        Ok((name, self.members.read(name, max_bytes)?))
     }
 
     fn damaged(&self, problem: impl Into<String>) -> Error {
@@ -191,8 +191,8 @@ impl Sog {
         let (columns, rows) = reader()?.into_dimensions().map_err(|e| bad(&e))?;
         let pixels = u64::from(columns) * u64::from(rows);
         if !fitting.contains(&pixels) {
-            let least = fitting.start();
-            return Err(bad(&format!("has {columns}x{rows} pixels, where {least} are needed")));
+            let needed = fitting.start();
+            return Err(bad(&format!("has {columns}x{rows} pixels, where {needed} are needed")));
         }
         // The decoder's pixels, and ours.
         self.members.check_memory(16 * pixels)?;
@@ -253,8 +253,8 @@ impl Sog {
                 let levels = self.levels(("shN", higher), 0)?;
                 let width = palette_width(sh_degree);
                 // Version 1 does not say how many there are. A label beyond them is found below.
-                let least = higher.count.unwrap_or(1).div_ceil(PALETTE_COLUMNS) * width;
-                let fitting = least as u64..=(MOST_VECTORS * coefficients) as u64;
+                let needed = higher.count.unwrap_or(1).div_ceil(PALETTE_COLUMNS) * width;
+                let fitting = needed as u64..=(MAX_VECTORS * coefficients) as u64;
                 let (columns, vectors) = self.decoded(higher, 0, fitting)?;
                 if columns != width {
                     return Err(
@@ -341,7 +341,7 @@ impl Members {
     }
 
     /// Reads a file of at most these bytes, within the memory budget.
-    fn read(&self, name: &str, most: u64) -> Result<Vec<u8>> {
+    fn read(&self, name: &str, max_bytes: u64) -> Result<Vec<u8>> {
         let path = &self.path;
         let Some(archive) = &self.archive else {
             let place = match Path::new(name).components().count() {
@@ -349,9 +349,9 @@ impl Members {
                 1 => path.with_file_name(name),
                 _ => return Err(damaged(path, format!("{name:?} does not lie beside it"))),
             };
-            host_memory::check(&place, regular_file::open(&place)?.1.min(most), self.max_host_memory)?;
-            return regular_file::read_at_most(&place, most)?
-                .ok_or_else(|| damaged(&place, format!("has more than {most} bytes")));
+            host_memory::check(&place, regular_file::open(&place)?.1.min(max_bytes), self.max_host_memory)?;
+            return regular_file::read_at_most(&place, max_bytes)?
+                .ok_or_else(|| damaged(&place, format!("has more than {max_bytes} bytes")));
         };
         let mut archive = archive.borrow_mut();
         let found = (0..archive.len()).find(|&index| {
@@ -361,12 +361,12 @@ impl Members {
         });
         let missing = || damaged(path, format!("holds no {name}"));
         let entry = archive.by_index(found.ok_or_else(missing)?).map_err(|e| damaged(path, e.to_string()))?;
-        if entry.size() > most {
+        if entry.size() > max_bytes {
             return Err(damaged(path, format!("{name} unpacks to {} bytes", entry.size())));
         }
         self.check_memory(entry.size())?;
         let mut bytes = host_memory::reserved(path, entry.size())?;
-        entry.take(most).read_to_end(&mut bytes).map_err(|e| damaged(path, format!("{name}: {e}")))?;
+        entry.take(max_bytes).read_to_end(&mut bytes).map_err(|e| damaged(path, format!("{name}: {e}")))?;
         Ok(bytes)
     }
 }
@@ -437,8 +437,8 @@ fn members(
     let count = order.len();
     let width = ((count as f64).sqrt() / 4.0).ceil().max(1.0) as usize * 4;
     let size = (width, count.div_ceil(width).max(1).next_multiple_of(4));
-    if width > MOST_SIDE {
-        let limit = ((MOST_SIDE * MOST_SIDE) as u64, "the side of a WebP picture");
+    if width > MAX_SIDE {
+        let limit = ((MAX_SIDE * MAX_SIDE) as u64, "the side of a WebP picture");
         return Err(Error::too_large(
             format!("{}: a SOG", path.display()),
             (count as u64, "Gaussians"),

@@ -342,7 +342,7 @@ impl Validation {
             }
         }
         for (mean, [x, y, z]) in block.means.iter().zip(&block.log_scales) {
-            let farthest = mean.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+            let farthest = mean.iter().fold(0.0_f32, |max, v| max.max(v.abs()));
             // The next lower power of two has the same steps.
             let power = f32::from_bits(farthest.to_bits() & f32::INFINITY.to_bits());
             let step = f64::from(power) * f64::from(f32::EPSILON);
@@ -484,17 +484,17 @@ impl PackingLoss {
     }
 
     pub(super) fn add(&mut self, block: &Gaussians) {
-        let [least, most] = self.log_scales;
+        let [low, high] = self.log_scales;
         for (index, [x, y, z]) in block.log_scales.iter().enumerate() {
             let (smallest, largest) = (x.min(*y).min(*z), x.max(*y).max(*z));
             self.log_sizes += f64::from(largest.max(-100.0));
             let [x, y, z] = block.means[index].map(|v| f64::from(v).abs());
             self.log_reach += x.max(y).max(z).ln_1p();
-            let is_cut = largest > most || (smallest < least && largest < least + THIN);
+            let is_cut = largest > high || (smallest < low && largest < low + THIN);
             self.cut_scales += u64::from(is_cut);
             let (dc, higher) = block.sh_of(index).split_at(1);
-            let [least, most] = self.dc;
-            self.cut_colors += u64::from(dc[0].iter().any(|dc| !(least..=most).contains(dc)));
+            let [low, high] = self.dc;
+            self.cut_colors += u64::from(dc[0].iter().any(|dc| !(low..=high).contains(dc)));
             self.cut_sh += u64::from(higher.as_flattened().iter().any(|sh| sh.abs() > self.max_sh));
         }
         if let Some(chunked) = &mut self.chunked {
@@ -536,19 +536,18 @@ impl PackingLoss {
         coarse(step, "because 256 Gaussians share a box and lie far apart");
         let count = self.count;
         if self.cut_scales > 0 {
-            let [least, most] = self.log_scales.map(|scale| short(f64::from(scale).exp()));
+            let [low, high] = self.log_scales.map(|scale| short(f64::from(scale).exp()));
             let cut = self.cut_scales;
-            losses.push(format!(
-                "sizes of {cut} of {count} Gaussians are beyond {least} to {most} and are cut"
-            ));
+            losses
+                .push(format!("sizes of {cut} of {count} Gaussians are beyond {low} to {high} and are cut"));
         }
         if self.cut_colors as f64 > USUALLY_CUT * count as f64 {
             losses.push(format!("colours of {} of {count} Gaussians are cut", self.cut_colors));
         }
         if self.cut_sh as f64 > USUALLY_CUT * count as f64 {
-            let (cut, most) = (self.cut_sh, self.max_sh);
+            let (cut, limit) = (self.cut_sh, self.max_sh);
             losses.push(format!(
-                "SH coefficients above degree 0 of {cut} of {count} Gaussians are beyond -{most} to {most} and are cut"
+                "SH coefficients above degree 0 of {cut} of {count} Gaussians are beyond -{limit} to {limit} and are cut"
             ));
         }
         let losses = Some(losses.join("; ")).filter(|losses| !losses.is_empty())?;

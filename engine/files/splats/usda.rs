@@ -32,9 +32,9 @@ const ARRAYS: [(&str, &str, usize); 5] = [
 ];
 /// Host memory of a prim.
 const PRIM_BYTES: usize = size_of::<Prim>() + 64;
-const MOST_OPS: usize = 64;
+const MAX_OPS: usize = 64;
 /// Highest SH degree that is skipped rather than refused.
-const MOST_DEGREES: u32 = 10;
+const MAX_DEGREES: u32 = 10;
 /// Standard deviations of a Gaussian that lie within the extent.
 const REACH: f32 = 3.0;
 
@@ -97,7 +97,7 @@ pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>
                 words(&text, place).next().and_then(|degree| degree.parse().ok()).unwrap_or(u32::MAX)
             }
         };
-        if stored > MOST_DEGREES {
+        if stored > MAX_DEGREES {
             return Err(refused(format!("its {DEGREE} makes no sense"), "write 0 to 3"));
         }
         for (array, (_, name, components)) in ARRAYS.iter().enumerate() {
@@ -254,7 +254,7 @@ impl Prim<'_> {
             let values = self.attributes.get(name).into_iter().flat_map(|place| words(text, place));
             // A matrix has the most.
             let values: Result<Vec<f64>, _> = values.take(17).map(str::parse).collect();
-            let values = values.ok().filter(|_| number < MOST_OPS).ok_or(op)?;
+            let values = values.ok().filter(|_| number < MAX_OPS).ok_or(op)?;
             let own = match (name.split(':').nth(1), &*values) {
                 (Some("translate"), &[x, y, z]) => DMat4::from_translation(DVec3::new(x, y, z)),
                 (Some("scale"), &[x, y, z]) => DMat4::from_scale(DVec3::new(x, y, z)),

@@ -20,12 +20,12 @@ use ashsplat::scene::{Bounds, Gaussians};
 /// Number of Gaussians at which a file ends. It holds several regions of one level.
 const FULL_FILE: usize = 1 << 19;
 /// Smallest number of Gaussians of a level, unless the scene has fewer.
-const LEAST_IN_LEVEL: usize = 4096;
+const MIN_IN_LEVEL: usize = 4096;
 
 /// Writes a scene as a streamed SOG into a new folder: `lod-meta.json`, and SOGs in folders beside it. The same scene gives the
 /// same bytes.
 ///
-/// A k-d tree ([`Cells`](ashsplat::scene::Cells)) divides the scene into regions of at most `most` Gaussians. Each level of a region
+/// A k-d tree ([`Cells`](ashsplat::scene::Cells)) divides the scene into regions of at most `max_gaussians` Gaussians. Each level of a region
 /// has a quarter of the Gaussians of the finer one, merged by [`decimate`].
 ///
 /// # Errors
@@ -33,17 +33,17 @@ const LEAST_IN_LEVEL: usize = 4096;
 pub fn write_streamed_sog(
     input: &Path,
     folder: &Path,
-    most: usize,
+    max_gaussians: usize,
     read: &ReadOptions,
     progress: &Progress<'_>,
 ) -> Result<Tiling> {
     in_new_folder(folder, |folder| {
-        let spill = Spill::of(input, folder, most, read, progress)?;
+        let spill = Spill::of(input, folder, max_gaussians, read, progress)?;
         let gaussians = spill.means.len();
-        let fewer = |count: &usize| Some(count / MERGED).filter(|count| *count >= LEAST_IN_LEVEL);
+        let fewer = |count: &usize| Some(count / MERGED).filter(|count| *count >= MIN_IN_LEVEL);
         let sizes: Vec<usize> = std::iter::successors(Some(gaussians), fewer).collect();
         let levels = sizes.len();
-        let pending = sizes.iter().map(|size| (*size).min(FULL_FILE + most) as u64).sum::<u64>();
+        let pending = sizes.iter().map(|size| (*size).min(FULL_FILE + max_gaussians) as u64).sum::<u64>();
         // Beside the Gaussians: the pictures, sorted values, SH vectors.
         host_memory::check_writing(input, pending * (row_bytes(spill.sh_degree) + 64))?;
         let mut writer = LevelWriter {

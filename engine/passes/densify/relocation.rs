@@ -12,7 +12,7 @@ use crate::passes::scan::{Scan, ScanBuffers, Workgroups};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Largest weight of a Gaussian: the last integer up to which f32 counts in steps of one.
-const MOST_WEIGHT: u32 = 1 << 24;
+const MAX_WEIGHT: u32 = 1 << 24;
 
 buffer_set! {
     /// Scratch of a draw, for up to `gaussians` before and `rows` after.
@@ -87,7 +87,7 @@ impl Relocation {
                 let push = draw_weights::Push {
                     first: range.first,
                     count: range.count,
-                    unit: (u32::MAX / count.max(1)).min(MOST_WEIGHT) as f32,
+                    unit: (u32::MAX / count.max(1)).min(MAX_WEIGHT) as f32,
                     least_opacity: if draw.replaces_dead { RELOCATION_LEAST_OPACITY } else { -1.0 },
                 };
                 r.dispatch(&self.weights, &bind, &push, self.sizes.groups(range.count));

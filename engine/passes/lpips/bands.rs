@@ -82,23 +82,23 @@ impl Bands {
     }
 
     /// Maximum number of new rows of a map in a band.
-    pub fn most_rows(&self, map: usize) -> u32 {
+    pub fn max_rows(&self, map: usize) -> u32 {
         self.rows.iter().map(|band| band[map].len() as u32).max().unwrap_or(0)
     }
 
     /// Maximum number of workgroups along an axis of a grid: columns and rows, or blocks.
-    pub fn most_grid(&self, workgroup: u32) -> u32 {
+    pub fn max_grid(&self, workgroup: u32) -> u32 {
         let grid = |(i, map): (usize, &Map)| {
-            let pixels = u64::from(map.width) * u64::from(self.most_rows(i));
+            let pixels = u64::from(map.width) * u64::from(self.max_rows(i));
             pixels.div_ceil(workgroup.into()).max(map.blocks.into())
         };
-        self.maps.iter().enumerate().map(grid).max().map_or(0, |most| most.try_into().unwrap_or(u32::MAX))
+        self.maps.iter().enumerate().map(grid).max().map_or(0, |max| max.try_into().unwrap_or(u32::MAX))
     }
 
     /// Number of multiplications in the largest dispatch.
-    pub fn most_work(&self, network: Network) -> u64 {
+    pub fn max_work(&self, network: Network) -> u64 {
         let work = |(i, layer): (usize, &Layer)| {
-            let outputs = u64::from(self.most_rows(i + 1)) * u64::from(self.maps[i + 1].width);
+            let outputs = u64::from(self.max_rows(i + 1)) * u64::from(self.maps[i + 1].width);
             let window = u64::from(layer.size * layer.size) * u64::from(layer.inputs);
             u64::from(PICTURES) * outputs * u64::from(layer.outputs) * window
         };

@@ -142,8 +142,8 @@ impl Network {
         if outputs(width.min(height)) > 0 {
             return Ok(());
         }
-        let least = (1..).find(|&side| outputs(side) > 0).unwrap_or(u32::MAX);
-        let problem = format!("is {width}x{height} pixels, {} needs {least} at least", self.name());
+        let min_side = (1..).find(|&side| outputs(side) > 0).unwrap_or(u32::MAX);
+        let problem = format!("is {width}x{height} pixels, {} needs {min_side} at least", self.name());
         Err(Error::argument("picture for LPIPS", problem))
     }
 }

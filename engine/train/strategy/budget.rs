@@ -11,7 +11,7 @@ use crate::passes::densify::{
 use crate::train::population::Population;
 use crate::train::schedule::pool_views;
 use crate::train::settings::{ImportanceType, SplitType, TrainSettings};
-use crate::train::strategy::{Actions, Changes, Densified, Strategy, Work, unknown};
+use crate::train::strategy::{Actions, Changes, Densified, StepWork, Strategy, unknown};
 use crate::vk::{Buffer, Context};
 
 /// Pruning of Gaussians that are still faint after the start.
@@ -82,7 +82,7 @@ impl Strategy for Budget {
         Ok(())
     }
 
-    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> StepWork {
         let schedule = GrowthSchedule::of(settings, 0);
         let densifies = settings.densifies_at(iteration);
         let resets = settings.resets_opacity_at(iteration);
@@ -92,7 +92,7 @@ impl Strategy for Budget {
             .and(PRUNE_FAINT.when(schedule.prunes_faint_at(iteration)))
             .and(PRUNE_RANKS.when(schedule.prunes_ranks_at(iteration)))
             .and(PRUNE_LATE.when(schedule.prunes_late_at(iteration)));
-        Work {
+        StepWork {
             accumulates: settings.collects_statistics_at(iteration),
             // The step precedes densification, which splits the set that the step made.
             optimizes: true,
@@ -114,8 +114,8 @@ impl Strategy for Budget {
             PRUNE_LATE => self.prune(population, Pruned::Below(population.settings().late_min_opacity))?,
             Actions::RESET_OPACITY => {
                 let recovery = population.settings().recovery;
-                let most = if recovery { RECOVERABLE_OPACITY } else { RESET_OPACITY };
-                return reset_opacity(population, &self.kernels, most);
+                let max_opacity = if recovery { RECOVERABLE_OPACITY } else { RESET_OPACITY };
+                return reset_opacity(population, &self.kernels, max_opacity);
             }
             _ => return Err(unknown(self.name(), action)),
         };
@@ -153,8 +153,8 @@ impl Budget {
         let schedule = GrowthSchedule::of(population.settings(), start);
         let budget = schedule.budget(population.iteration());
         let settings = pruning_below(schedule.min_opacity(population.iteration()) as f32);
-        let most = population.most_rows();
-        let wanted = budget.min(most).saturating_sub(before);
+        let limit = population.max_rows();
+        let wanted = budget.min(limit).saturating_sub(before);
         let importance = match wanted {
             0 => None,
             _ => match self.importance(population)? {
@@ -168,8 +168,8 @@ impl Budget {
         };
         let selection = UniqueDrawBuffers::from_allocated(buffers);
         // A Gaussian stays and is cloned, or is split into two.
-        let most_rows = before.saturating_mul(2);
-        let decisions = Decisions::new(population, most_rows, &self.kernels, settings)?;
+        let max_rows = before.saturating_mul(2);
+        let decisions = Decisions::new(population, max_rows, &self.kernels, settings)?;
         let Some(mut decisions) = decisions else { return Ok(unchanged) };
         let drawn = self.select(population, importance.as_ref(), wanted, &selection)?;
         let classify = |decisions: &Decisions, population: &Population| {
@@ -184,7 +184,7 @@ impl Budget {
             self.select(population, importance.as_ref(), capacity - before, &selection)?;
             densified = Densified { limited: true, ..classify(&decisions, population)? };
         }
-        densified.limited |= budget > most && drawn == wanted && wanted > 0;
+        densified.limited |= budget > limit && drawn == wanted && wanted > 0;
         decisions.rebuild(population, densified, growth)?;
         Ok(densified)
     }
@@ -238,14 +238,14 @@ impl Budget {
         let before = population.count();
         let unchanged = Densified { before, kept: before, ..Densified::default() };
         let without_memory = Densified { limited: true, ..unchanged };
-        let least = match pruned {
+        let min_opacity = match pruned {
             Pruned::Below(opacity) => opacity,
             Pruned::Share(share) => match self.opacity_of_share(population, share)? {
                 Some(opacity) => opacity,
                 None => return Ok(without_memory),
             },
         };
-        let settings = pruning_below(not_below(least));
+        let settings = pruning_below(not_below(min_opacity));
         let decisions = Decisions::new(population, before, &self.kernels, settings)?;
         let Some(decisions) = decisions else { return Ok(without_memory) };
         let pruned = decisions.classify_kept(population)?;

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, OrderInputs, RandomKey, Relocation};
 use crate::train::population::Population;
 use crate::train::settings::TrainSettings;
-use crate::train::strategy::{Actions, Changes, Densified, NOT_IN_OTHERS, StepInputs, Strategy, Work};
+use crate::train::strategy::{Actions, Changes, Densified, NOT_IN_OTHERS, StepInputs, StepWork, Strategy};
 use crate::vk::{Context, Recorder};
 
 /// Size of the set after a densification (3dgs-mcmc, `add_new_gs`), in percent.
@@ -39,9 +39,9 @@ impl Strategy for Mcmc {
         check_cap(settings.cap_max, gaussians)
     }
 
-    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> StepWork {
         let densifies = settings.densifies_at(iteration);
-        Work {
+        StepWork {
             accumulates: false,
             optimizes: true,
             optimizes_opacity: true,
@@ -67,7 +67,7 @@ impl Strategy for Mcmc {
         let before = population.count();
         let wanted = (u64::from(before) * GROWTH_PERCENT / 100).min(population.settings().cap_max.into());
         let wanted = (wanted as u32).max(before);
-        let rows = wanted.min(population.most_rows()).max(before);
+        let rows = wanted.min(population.max_rows()).max(before);
         let relocated = self.rebuild(population, before, true)?;
         let grown = relocated && self.rebuild(population, rows, false)?;
         let after = population.count();

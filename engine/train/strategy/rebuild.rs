@@ -18,14 +18,14 @@ pub(super) struct Decisions<'a> {
 }
 
 impl<'a> Decisions<'a> {
-    /// Decisions for a new set of at most `most_rows` rows. None if memory is short; the set then stays.
+    /// Decisions for a new set of at most `max_rows` rows. None if memory is short; the set then stays.
     pub fn new(
         population: &Population,
-        most_rows: u32,
+        max_rows: u32,
         kernels: &'a Densify,
         settings: DensifySettings,
     ) -> Result<Option<Self>> {
-        let requests = DensifyBuffers::requests(&population.sizes(), population.count(), most_rows);
+        let requests = DensifyBuffers::requests(&population.sizes(), population.count(), max_rows);
         let buffers = population.allocate(&requests)?;
         let buffers = buffers.map(DensifyBuffers::from_allocated);
         Ok(buffers.map(|buffers| Self { kernels, settings, buffers, order: None }))
@@ -88,10 +88,10 @@ pub(super) fn order_buffers(population: &Population, rows: u32) -> Result<Option
 }
 
 /// Lowers all opacities to at most this one.
-pub(super) fn reset_opacity(population: &Population, kernels: &Densify, most: f64) -> Result<Changes> {
-    population
-        .context()
-        .run("reset opacity", |r| kernels.record_reset(r, population.scene(), population.moments(), most))?;
+pub(super) fn reset_opacity(population: &Population, kernels: &Densify, max_opacity: f64) -> Result<Changes> {
+    population.context().run("reset opacity", |r| {
+        kernels.record_reset(r, population.scene(), population.moments(), max_opacity)
+    })?;
     Ok(Changes { opacities_reset: true, ..Changes::default() })
 }
 

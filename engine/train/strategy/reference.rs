@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::passes::densify::{Densify, DensifyForm, DensifySettings, RESET_OPACITY};
 use crate::train::population::Population;
 use crate::train::settings::{SplitType, TrainSettings};
-use crate::train::strategy::{Actions, Changes, Densified, Strategy, Work, unknown};
+use crate::train::strategy::{Actions, Changes, Densified, StepWork, Strategy, unknown};
 use crate::vk::Context;
 
 /// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).
@@ -43,10 +43,10 @@ impl Strategy for Reference {
             .refuse(self.name(), &["cap_ratio", "importance", "growth_curve", "recovery", "late_min_opacity"])
     }
 
-    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> StepWork {
         let densifies = settings.densifies_at(iteration);
         let resets = settings.resets_opacity_at(iteration);
-        Work {
+        StepWork {
             accumulates: settings.collects_statistics_at(iteration),
             // In the reference, densification replaces the parameters, so that they have no gradient. A reset does the same to
             // the opacities.
@@ -80,16 +80,16 @@ impl Reference {
         population.release_pictures();
         let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
         // A Gaussian stays and is cloned, or is split into two.
-        let most_rows = before.saturating_mul(2);
-        let decisions = Decisions::new(population, most_rows, &self.kernels, settings)?;
+        let max_rows = before.saturating_mul(2);
+        let decisions = Decisions::new(population, max_rows, &self.kernels, settings)?;
         let Some(mut decisions) = decisions else { return Ok(unchanged) };
-        let wanted = decisions.classify(population, None)?;
-        let most = population.most_rows();
-        let rows = wanted.rows().min(most);
+        let classified = decisions.classify(population, None)?;
+        let limit = population.max_rows();
+        let rows = classified.rows().min(limit);
         let Some(growth) = decisions.reserve_gaussians(population, rows)? else { return Ok(unchanged) };
-        let capacity = population.capacity_with(&growth).min(most);
-        let densified = match wanted.rows() <= capacity {
-            true => wanted,
+        let capacity = population.capacity_with(&growth).min(limit);
+        let densified = match classified.rows() <= capacity {
+            true => classified,
             false => Densified { limited: true, ..self.decide_within(population, &mut decisions, capacity)? },
         };
         decisions.rebuild(population, densified, growth)?;
@@ -106,8 +106,8 @@ impl Reference {
     ) -> Result<Densified> {
         const ROUNDS: u32 = 24;
         // Non-negative floats are ordered like their bits. No Gaussian passes a threshold of infinity.
-        let least = decisions.settings.gradient_threshold.abs();
-        let (mut low, mut high) = (least.to_bits(), f32::INFINITY.to_bits());
+        let min_gradient = decisions.settings.gradient_threshold.abs();
+        let (mut low, mut high) = (min_gradient.to_bits(), f32::INFINITY.to_bits());
         let mut classify = |bits: u32| {
             decisions.settings.gradient_threshold = f32::from_bits(bits);
             decisions.classify(population, None)

@@ -5,7 +5,7 @@ use crate::cut_outs::mapping;
 use crate::stage::*;
 
 /// Texels of picks and of motion; empty unless requested.
-pub type Beside = (Vec<[u32; 4]>, Vec<[u16; 2]>);
+pub type PickAndMotion = (Vec<[u32; 4]>, Vec<[u16; 2]>);
 
 pub struct Flight<'a> {
     screens: Screens<'a>,
@@ -41,13 +41,13 @@ impl<'a> Flight<'a> {
     }
 
     /// Returns the texels; to be called after the fence.
-    pub fn read(&self, [pick, motion]: [bool; 2]) -> Beside {
+    pub fn read(&self, [pick, motion]: [bool; 2]) -> PickAndMotion {
         let (picks, motions) = (pick.then(|| self.staging[0].read()), motion.then(|| self.staging[1].read()));
         (picks.unwrap_or_default(), motions.unwrap_or_default())
     }
 
     /// Reads the images after a frame that has finished and that recorded no reads.
-    pub fn now(&self, [pick, motion]: [bool; 2]) -> Beside {
+    pub fn now(&self, [pick, motion]: [bool; 2]) -> PickAndMotion {
         let motions = || self.screens.pictures[1].texture.read(WRITTEN);
         let (picks, motions) = (pick.then(|| self.screens.picks()), motion.then(motions));
         (picks.unwrap_or_default(), motions.unwrap_or_default())
@@ -56,7 +56,7 @@ impl<'a> Flight<'a> {
 
 /// Outputs and inputs that a frame uses.
 #[derive(Clone, Copy, Default)]
-pub struct Wanted {
+pub struct OutputRequest {
     /// The picture in an image.
     pub target: Option<(Background, ColorEncoding)>,
     /// Expected depth.
@@ -65,7 +65,7 @@ pub struct Wanted {
     pub occluder: Option<DepthMapping>,
 }
 
-impl Wanted {
+impl OutputRequest {
     /// A picture in linear light, in which the host's depth hides splats.
     pub fn hidden(camera: &Camera) -> Self {
         let target = Some((Background::Nothing, ColorEncoding::LINEAR));
@@ -73,7 +73,7 @@ impl Wanted {
     }
 }
 
-pub type Seen = [Vec<u32>; 2];
+pub type OutputPixels = [Vec<u32>; 2];
 
 /// Images that frames of a slot draw into or that hide splats.
 pub struct Outputs<'a> {
@@ -94,7 +94,7 @@ impl<'a> Outputs<'a> {
         Self { pictures, staging, last: [ImageState::UNDEFINED, ImageState::UNDEFINED, COPIED] }
     }
 
-    pub fn with<'b>(&'b self, frame: RecordedFrame<'b>, wanted: &Wanted) -> RecordedFrame<'b> {
+    pub fn with<'b>(&'b self, frame: RecordedFrame<'b>, wanted: &OutputRequest) -> RecordedFrame<'b> {
         let to = |which: usize| host_image(&self.pictures[which].image, self.last[which]);
         let image = |(behind, encoding)| Target::Image { to: to(0), behind, encoding };
         RecordedFrame {
@@ -106,7 +106,7 @@ impl<'a> Outputs<'a> {
     }
 
     /// Clears the target before the frame, in its command buffer, if the frame draws over it.
-    pub fn record_clear(&mut self, commands: &Commands<'_>, wanted: &Wanted) {
+    pub fn record_clear(&mut self, commands: &Commands<'_>, wanted: &OutputRequest) {
         if matches!(wanted.target, Some((Background::Image, _))) {
             self.pictures[0].texture.clear(commands.commands, self.last[0], [0.1, 0.3, 0.2, 1.0]);
             self.last[0] = COPIED;
@@ -119,7 +119,7 @@ impl<'a> Outputs<'a> {
     }
 
     /// Records the reads after the frame, in its command buffer.
-    pub fn record_read(&mut self, commands: &Commands<'_>, wanted: &Wanted, release: &Release) {
+    pub fn record_read(&mut self, commands: &Commands<'_>, wanted: &OutputRequest, release: &Release) {
         self.note(release);
         for (which, last) in [release.color, release.depth].into_iter().enumerate() {
             let asked = [wanted.target.is_some(), wanted.depth][which];
@@ -133,7 +133,7 @@ impl<'a> Outputs<'a> {
     }
 
     /// Returns the texels; to be called after the fence.
-    pub fn read(&self, wanted: &Wanted) -> Seen {
+    pub fn read(&self, wanted: &OutputRequest) -> OutputPixels {
         let words = |which: usize, asked: bool| if asked { self.staging[which].read() } else { Vec::new() };
         [words(0, wanted.target.is_some()), words(1, wanted.depth)]
     }

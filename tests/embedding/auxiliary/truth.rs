@@ -5,7 +5,7 @@ use crate::stage::*;
 use ashsplat::kernels::constants::NOT_PICKED;
 use ashsplat_reference::pipeline::{Frame, render, tile_of};
 use ashsplat_reference::tiles::alpha_unclamped;
-use ashsplat_reference::types::{ALPHA_MAX, ALPHA_MIN, Drawn, Extent, Gaussian, TRANSMITTANCE_MIN, View};
+use ashsplat_reference::types::{ALPHA_MAX, ALPHA_MIN, Extent, Gaussian, Style, TRANSMITTANCE_MIN, View};
 use glam::{DMat3, DVec3};
 
 pub const SIZE: [u32; 2] = [96, 70];
@@ -142,7 +142,7 @@ fn view_of(camera: &Camera) -> View {
         filter_3d: 0.0,
         symmetric_limit: false,
         extent: Extent::Exact,
-        drawn: Drawn { orthographic: camera.is_orthographic(), ..Drawn::AS_THEY_ARE },
+        drawn: Style { orthographic: camera.is_orthographic(), ..Style::AS_THEY_ARE },
     }
 }
 

@@ -1,7 +1,7 @@
 //! Random features in frame after frame: scene settings, outputs, picks and motion.
 
 use super::{filtered, pose, removing, volumes};
-use crate::auxiliary::flight::{Beside, Flight, Outputs, Seen, Wanted};
+use crate::auxiliary::flight::{Flight, OutputPixels, OutputRequest, Outputs, PickAndMotion};
 use crate::auxiliary::parallel;
 use crate::auxiliary::truth::shifted;
 use crate::scene_settings::{SIZE, Stage, placed};
@@ -13,16 +13,16 @@ use ashsplat::kernels::constants::NOT_PICKED;
 const LARGE: usize = 3;
 const SMALL: usize = 9;
 /// Largest number of Gaussians of an update.
-const MOST: u32 = 12;
+const MAX_GAUSSIANS: u32 = 12;
 /// Value of the host's depth, and the z that it means.
 pub const HIDES: (f32, f32) = (0.25, 4.0);
 
 pub struct Random(pub u32);
 
 impl Random {
-    pub fn below(&mut self, most: u32) -> u32 {
+    pub fn below(&mut self, max: u32) -> u32 {
         self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (self.0 >> 16) % most
+        (self.0 >> 16) % max
     }
 }
 
@@ -67,17 +67,17 @@ pub fn mapping(camera: &Camera) -> DepthMapping {
 }
 
 struct Wants<'a> {
-    outputs: Wanted,
+    outputs: OutputRequest,
     /// Picks, motion.
     beside: [bool; 2],
     before: &'a Camera,
 }
 
 #[derive(PartialEq)]
-struct Shown {
+struct FrameResult {
     pixels: Vec<[f32; 4]>,
-    outputs: Seen,
-    beside: Beside,
+    outputs: OutputPixels,
+    beside: PickAndMotion,
 }
 
 struct Shot<'a> {
@@ -88,7 +88,7 @@ struct Shot<'a> {
     slot: u32,
 }
 
-type Awaited = (Shown, Wanted, [bool; 2]);
+type Awaited = (FrameResult, OutputRequest, [bool; 2]);
 
 impl<'a> Shot<'a> {
     fn new(host: &'a Host, context: &Context, slot: u32) -> Self {
@@ -112,10 +112,10 @@ impl<'a> Shot<'a> {
         }
     }
 
-    fn finish(&self, outputs: &Wanted, beside: [bool; 2]) -> Shown {
+    fn finish(&self, outputs: &OutputRequest, beside: [bool; 2]) -> FrameResult {
         self.in_flight.wait();
         let pixels = if outputs.target.is_none() { self.staging.read() } else { Vec::new() };
-        Shown { pixels, outputs: self.outputs.read(outputs), beside: self.flight.read(beside) }
+        FrameResult { pixels, outputs: self.outputs.read(outputs), beside: self.flight.read(beside) }
     }
 }
 
@@ -162,7 +162,7 @@ fn scene_settings<'a>(
     sets.iter().enumerate().map(settings).collect()
 }
 
-fn outputs(random: &mut Random, camera: &Camera, kinds: Kinds) -> Wanted {
+fn outputs(random: &mut Random, camera: &Camera, kinds: Kinds) -> OutputRequest {
     let behind = [Background::Nothing, Background::Color([0.5, 0.25, 0.75]), Background::Image];
     let encodings = [
         ColorEncoding::AsTrained,
@@ -170,7 +170,7 @@ fn outputs(random: &mut Random, camera: &Camera, kinds: Kinds) -> Wanted {
         ColorEncoding::LinearSrgb { exposure: 0.5 + random.below(4) as f32 },
     ];
     let image = (behind[random.below(3) as usize], encodings[random.below(3) as usize]);
-    Wanted {
+    OutputRequest {
         target: (random.below(2) > 0).then_some(image),
         depth: random.below(3) == 0 && kinds.surfaces,
         occluder: (random.below(3) == 0 && kinds.surfaces).then(|| mapping(camera)),
@@ -196,7 +196,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let mut parts = vec![cloud(200, 1), cloud(150, 2), cloud(120, 3)];
     parts.extend((0..SMALL as u32).map(|seed| cloud(16, 10 + seed)));
     let all: Vec<&Gaussians> = parts.iter().collect();
-    let staging_bytes = Reservation::update_bytes(MOST, 1);
+    let staging_bytes = Reservation::update_bytes(MAX_GAUSSIANS, 1);
     let wanted = |wanted| Reservation { slots: 2, cut_outs: 40, staging_bytes, ..kinds.of(wanted) };
     let mut stage = Stage::new(host, &all, &wanted);
     let context = stage.renderer.context().clone();
@@ -227,7 +227,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         let slot = (frame % 2) as usize;
         finish(&shots[slot], frame.wrapping_sub(2), &mut awaited[slot], &mut stage.renderer);
         let changed = random.below(parts.len() as u32) as usize;
-        let new = cloud(random.below(MOST + 1) as usize, 100 + frame);
+        let new = cloud(random.below(MAX_GAUSSIANS + 1) as usize, 100 + frame);
         let first = random.below((parts[changed].len() - new.len()) as u32 + 1);
         let is_updated = random.below(3) == 0;
         if is_updated {

@@ -2,7 +2,7 @@
 
 use super::{BLACK, SIZE, hard_cloud};
 use crate::array_image::ArrayImage;
-use crate::auxiliary::flight::{Flight, Outputs, Wanted};
+use crate::auxiliary::flight::{Flight, OutputRequest, Outputs};
 use crate::auxiliary::parallel;
 use crate::auxiliary::truth::shifted;
 use crate::cut_outs::{HIDES, Kinds, Random, mapping};
@@ -10,7 +10,7 @@ use crate::stage::*;
 use std::ops::Range;
 
 /// Largest number of views of a recording.
-const MOST: u32 = 3;
+const MAX_VIEWS: u32 = 3;
 const SMALL: u32 = 20;
 
 struct View<'a> {
@@ -18,7 +18,7 @@ struct View<'a> {
     camera: &'a Camera,
     settings: &'a RenderSettings,
     before: &'a Camera,
-    outputs: Wanted,
+    outputs: OutputRequest,
     /// Picks, motion.
     beside: [bool; 2],
 }
@@ -32,9 +32,9 @@ struct Screens<'a> {
 
 impl<'a> Screens<'a> {
     fn new(host: &'a Host, context: &Context) -> Self {
-        let array = ArrayImage::new(host, context, SIZE, 2 * MOST);
-        let flights = (0..2 * MOST).map(|_| Flight::new(host, context, SIZE)).collect();
-        let outputs = (0..2 * MOST).map(|_| Outputs::new(host, context, SIZE, HIDES.0)).collect();
+        let array = ArrayImage::new(host, context, SIZE, 2 * MAX_VIEWS);
+        let flights = (0..2 * MAX_VIEWS).map(|_| Flight::new(host, context, SIZE)).collect();
+        let outputs = (0..2 * MAX_VIEWS).map(|_| Outputs::new(host, context, SIZE, HIDES.0)).collect();
         Self { array, flights, outputs }
     }
 
@@ -87,7 +87,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let mut screens = Screens::new(host, &context);
     let [mut together, mut alone] = [true, false].map(|shared_sort| {
         let wanted = Reservation {
-            views: if shared_sort { MOST } else { 1 },
+            views: if shared_sort { MAX_VIEWS } else { 1 },
             shared_sort,
             images_only: true,
             scenes: SMALL + 1,
@@ -104,8 +104,8 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let mask = mask_of(&context, &[0x5A; 128]);
     let selection = Selection { mask: &mask, color: [1.0, 0.5, 0.0], share: 0.5 };
     let mut random = Random(7);
-    let mut below = |most: u32| random.below(most);
-    let (mut sorts, mut batched, mut differing) = ([0; MOST as usize + 1], 0, 0);
+    let mut below = |max: u32| random.below(max);
+    let (mut sorts, mut batched, mut differing) = ([0; MAX_VIEWS as usize + 1], 0, 0);
     for frame in 0..frames {
         let lists: [Vec<Placed>; 2] = [(); 2].map(|()| {
             // A batch needs equal values of these.
@@ -135,7 +135,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         let is_pair = frame % 8 == 5;
         let base = camera(0.2 * below(30) as f32, SIZE[0], SIZE[1]);
         let base = if below(4) == 0 && kinds.tools { parallel(&base) } else { base };
-        let cameras: Vec<Camera> = (0..MOST)
+        let cameras: Vec<Camera> = (0..MAX_VIEWS)
             .map(|_| match below(4) {
                 0 if !is_pair => camera(0.2 * below(30) as f32, 40, 30),
                 _ => base.moved_aside([0.1 * below(9) as f32 - 0.4, 0.0]),
@@ -155,10 +155,10 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
                 camera,
                 settings: &own,
                 before,
-                outputs: Wanted {
+                outputs: OutputRequest {
                     depth: below(3) == 0 && kinds.surfaces,
                     occluder: (below(3) == 0 && kinds.surfaces).then(|| mapping(camera)),
-                    ..Wanted::default()
+                    ..OutputRequest::default()
                 },
                 beside: [
                     below(3) == 0 && kinds.tools,
@@ -168,7 +168,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
             .collect();
         // Each remaining view has its own recording, so that all layers are drawn. The other renderer draws each
         // alone.
-        let first = if is_pair { 2 } else { 1 + below(MOST) as usize };
+        let first = if is_pair { 2 } else { 1 + below(MAX_VIEWS) as usize };
         let of_together = (first..views.len()).map(|view| view..view + 1).chain(std::iter::once(0..first));
         for group in of_together {
             screens.render(host, &mut together, (&views, group, 0));
@@ -180,12 +180,12 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         let moving = views[..first].iter().filter(|view| view.beside[1]).count();
         differing += u32::from(first == 2 && report.sorts == 1 && moving == 1);
         for view in 0..views.len() {
-            screens.render(host, &mut alone, (&views, view..view + 1, MOST as usize));
+            screens.render(host, &mut alone, (&views, view..view + 1, MAX_VIEWS as usize));
         }
         let texels = screens.array.read();
         for (number, view) in views.iter().enumerate() {
             let [shown, expected] =
-                [0, MOST as usize].map(|bank| screens.shown(&texels, view, bank + number));
+                [0, MAX_VIEWS as usize].map(|bank| screens.shown(&texels, view, bank + number));
             assert!(shown == expected, "frame {frame}, view {number}, {first} at once");
         }
     }

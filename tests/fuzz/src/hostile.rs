@@ -5,7 +5,7 @@ use arbitrary::Arbitrary;
 use serde_json::Value;
 
 /// Largest size of a file or of an unpacked part of it, bytes.
-pub const MOST_BYTES: usize = 1 << 20;
+pub const MAX_BYTES: usize = 1 << 20;
 
 /// A number that may replace the correct one.
 #[derive(Arbitrary, Clone, Copy, Debug)]
@@ -64,15 +64,15 @@ pub struct Filling {
 }
 
 impl Filling {
-    /// Largest length, so that the packed bytes are at most [`MOST_BYTES`].
-    pub fn most_packed(self) -> usize {
-        if self.noise { MOST_BYTES } else { 4 * MOST_BYTES }
+    /// Largest length, so that the packed bytes are at most [`MAX_BYTES`].
+    pub fn max_packed(self) -> usize {
+        if self.noise { MAX_BYTES } else { 4 * MAX_BYTES }
     }
 
-    /// Returns at most `most` bytes.
-    pub fn bytes(self, most: usize) -> Vec<u8> {
+    /// Returns at most `max_length` bytes.
+    pub fn bytes(self, max_length: usize) -> Vec<u8> {
         // Short lengths are more frequent.
-        let length = self.length as usize % (most.min(MOST_BYTES) + 1) >> (self.seed % 4 * 4);
+        let length = self.length as usize % (max_length.min(MAX_BYTES) + 1) >> (self.seed % 4 * 4);
         self.exactly(length)
     }
 

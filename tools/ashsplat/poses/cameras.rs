@@ -1,12 +1,12 @@
 //! COLMAP's stages: features, matches, mapping.
 
 use super::colmap::{Colmap, Job};
-use super::source::{Look, by_camera};
-use super::work::{LOG_FILE, Work};
-use super::{Arguments, LEAST_PHOTOS, Meter, Prints, time};
+use super::source::{PhotoInfo, by_camera};
+use super::workspace::{LOG_FILE, Workspace};
+use super::{Arguments, MIN_PHOTOS, PhotoFiles, StageBar, time};
 use ashsplat::{Error, Result};
 use ashsplat_files::{DatasetOptions, Gallery, Progress};
-use ashsplat_program::child::Ended;
+use ashsplat_program::child::LoggedOutput;
 use std::collections::HashSet;
 use std::ffi::OsString;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -16,12 +16,12 @@ use std::time::{Instant, UNIX_EPOCH};
 
 /// Largest number of cameras whose features are extracted in separate runs. Beyond it, every photograph has its own
 /// camera.
-const MOST_CAMERAS: usize = 16;
+const MAX_CAMERAS: usize = 16;
 /// COLMAP's messages if photographs have nothing in common.
 const UNCONNECTED: [&str; 4] =
     ["No good initial image pair", "No images with matches", "failed to create", "Failed to create"];
 /// Number of COLMAP's lines in a message.
-const SAID: usize = 3;
+const QUOTED_LINES: usize = 3;
 const ADVICE: &str = "take more photographs: each overlapping the next by two thirds, from places some steps apart (not turning \
                       on the spot), sharp, of a scene that has texture and does not move";
 
@@ -29,14 +29,14 @@ pub struct Cameras<'a> {
     pub arguments: &'a Arguments,
     pub colmap: &'a Colmap,
     pub stop: &'a AtomicBool,
-    pub photos: &'a Prints,
-    pub looks: &'a [Look],
+    pub photos: &'a PhotoFiles,
+    pub infos: &'a [PhotoInfo],
     /// True if COLMAP may use a GPU.
     pub gpu: bool,
 }
 
 /// Result of COLMAP's stages.
-pub struct Found {
+pub struct Reconstruction {
     /// The folder of the largest model.
     pub model: PathBuf,
     pub registered: HashSet<String>,
@@ -50,58 +50,58 @@ impl Cameras<'_> {
     /// # Errors
     /// [`Error::Argument`] and [`Error::Input`] if COLMAP fails or connects too few photographs, with the path of its
     /// log; [`Error::Io`]; [`Error::Interrupted`].
-    pub fn find(mut self, work: &mut Work) -> Result<Found> {
-        self.features(work)?;
-        let log = work.path(LOG_FILE);
-        self.matches(work, &log)?;
-        let job = self.job(work)?;
-        let models = work.fresh_folder("sparse")?;
+    pub fn find(mut self, workspace: &mut Workspace) -> Result<Reconstruction> {
+        self.features(workspace)?;
+        let log = workspace.path(LOG_FILE);
+        self.matches(workspace, &log)?;
+        let job = self.job(workspace)?;
+        let models = workspace.fresh_folder("sparse")?;
         let begin = Instant::now();
-        let meter = Meter::new("cameras", "photographs", self.photos.names.len(), self.arguments.quiet);
-        let ended = self.run(meter, self.colmap.mapping(&job, &models), &log)?;
+        let bar = StageBar::new("cameras", "photographs", self.photos.names.len(), self.arguments.quiet);
+        let ended = self.run(bar, self.colmap.mapping(&job, &models), &log)?;
         let count = std::fs::read_dir(&models).map_err(|e| Error::io(&models, "read", e))?.count();
         if count == 0 {
-            let said = |line: &String| UNCONNECTED.iter().any(|words| line.contains(words));
-            if ended.status.success() || ended.tail.iter().any(said) {
+            let is_unconnected = |line: &String| UNCONNECTED.iter().any(|words| line.contains(words));
+            if ended.status.success() || ended.tail.iter().any(is_unconnected) {
                 return Err(self.unconnected(0, &log));
             }
         }
         // Checked even if a first model exists: a larger one might have followed.
         self.success("mapping", &ended, &log)?;
-        let found = self.largest(work, count, &log)?;
-        self.arguments.tell(&format!("mapping     {}", time(begin.elapsed().as_secs_f64())));
+        let found = self.largest(workspace, count, &log)?;
+        self.arguments.note(&format!("mapping     {}", time(begin.elapsed().as_secs_f64())));
         Ok(found)
     }
 
     /// Compares photographs; on the processor if the GPU fails.
-    fn matches(&mut self, work: &Work, log: &Path) -> Result<()> {
+    fn matches(&mut self, workspace: &Workspace, log: &Path) -> Result<()> {
         let photographs = self.photos.names.len();
         loop {
-            let job = self.job(work)?;
-            let (matcher, said) = self.arguments.matcher(photographs, self.gpu);
+            let job = self.job(workspace)?;
+            let (matcher, summary) = self.arguments.matcher(photographs, self.gpu);
             let begin = Instant::now();
-            let meter = Meter::new("matches", matcher.unit(), 1, self.arguments.quiet);
-            let ended = self.run(meter, self.colmap.matches(&job, matcher, photographs), log)?;
+            let bar = StageBar::new("matches", matcher.unit(), 1, self.arguments.quiet);
+            let ended = self.run(bar, self.colmap.matches(&job, matcher, photographs), log)?;
             if self.gpu && !ended.status.success() {
-                self.once_more("matching");
+                self.use_processor("matching");
                 continue;
             }
             self.success("matching", &ended, log)?;
-            self.tell_stage("matches", begin, &said);
+            self.note_stage("matches", begin, &summary);
             return Ok(());
         }
     }
 
-    fn once_more(&mut self, what: &str) {
+    fn use_processor(&mut self, what: &str) {
         self.arguments
-            .tell(&format!("COLMAP's {what} failed on the GPU: once more, on the processor (--no-gpu)"));
+            .note(&format!("COLMAP's {what} failed on the GPU: once more, on the processor (--no-gpu)"));
         self.gpu = false;
     }
 
-    fn job(&self, work: &Work) -> Result<Job> {
+    fn job(&self, workspace: &Workspace) -> Result<Job> {
         let absolute = |path: &Path| std::path::absolute(path).map_err(|e| Error::io(path, "find", e));
         Ok(Job {
-            database: absolute(&work.path("database.db"))?,
+            database: absolute(&workspace.path("database.db"))?,
             photos: absolute(&self.photos.folder)?,
             camera_model: self.arguments.camera_model.clone(),
             max_features: self.arguments.max_features.unwrap_or(if self.gpu { 8192 } else { 4096 }),
@@ -114,7 +114,7 @@ impl Cameras<'_> {
     fn groups(&self) -> Result<(Vec<Vec<String>>, bool)> {
         let names = &self.photos.names;
         if self.arguments.cameras == "one" {
-            let mut sizes: Vec<(u32, u32)> = self.looks.iter().map(|look| look.size).collect();
+            let mut sizes: Vec<(u32, u32)> = self.infos.iter().map(|info| info.size).collect();
             sizes.sort_unstable();
             sizes.dedup();
             if let [(w, h), (other_w, other_h), ..] = sizes[..] {
@@ -124,72 +124,72 @@ impl Cameras<'_> {
             }
             return Ok((vec![names.clone()], true));
         }
-        let groups = by_camera(names, self.looks);
-        match self.arguments.cameras == "each" || groups.len() > MOST_CAMERAS {
+        let groups = by_camera(names, self.infos);
+        match self.arguments.cameras == "each" || groups.len() > MAX_CAMERAS {
             true => Ok((vec![names.clone()], false)),
             false => Ok((groups, true)),
         }
     }
 
     /// Extracts features; on the processor if the GPU fails.
-    fn features(&mut self, work: &mut Work) -> Result<()> {
+    fn features(&mut self, workspace: &mut Workspace) -> Result<()> {
         let (groups, shared) = self.groups()?;
         let cameras = if shared { groups.len() } else { self.photos.names.len() };
         let cameras = if cameras == 1 { "1 camera".into() } else { format!("{cameras} cameras") };
-        let log = work.path(LOG_FILE);
-        let wanted = self.gpu;
+        let log = workspace.path(LOG_FILE);
+        let requested = self.gpu;
         // Also accepts features from the processor: an earlier run may have found that the GPU fails.
-        for gpu in [false, wanted] {
+        for gpu in [false, requested] {
             self.gpu = gpu;
-            if work.has_features(&self.key(work)?) {
-                self.arguments.tell("features    there already");
+            if workspace.has_features(&self.key(workspace)?) {
+                self.arguments.note("features    there already");
                 return Ok(());
             }
         }
         loop {
-            let key = self.key(work)?;
-            work.note_features(None)?;
+            let key = self.key(workspace)?;
+            workspace.note_features(None)?;
             // The log begins with these photographs.
             for name in ["database.db", "database.db-wal", "database.db-shm", "database.db-journal", LOG_FILE]
             {
-                work.remove(name)?;
+                workspace.remove(name)?;
             }
-            let job = self.job(work)?;
+            let job = self.job(workspace)?;
             let device = if self.gpu { "on a GPU" } else { "on the processor" };
-            let said = format!("{cameras} ({}); {} {device}", job.camera_model, self.colmap.version);
-            let list = work.path("list.txt");
+            let summary = format!("{cameras} ({}); {} {device}", job.camera_model, self.colmap.version);
+            let list = workspace.path("list.txt");
             let begin = Instant::now();
             let run = || {
-                let meter =
-                    Meter::new("features", "photographs", self.photos.names.len(), self.arguments.quiet);
+                let bar =
+                    StageBar::new("features", "photographs", self.photos.names.len(), self.arguments.quiet);
                 for group in &groups {
                     std::fs::write(&list, group.join("\n") + "\n")
                         .map_err(|e| Error::io(&list, "write", e))?;
                     let list = std::path::absolute(&list).map_err(|e| Error::io(&list, "find", e))?;
-                    let words = self.colmap.features(&job, &list, shared);
-                    let ended = self.colmap.run(&words, &log, self.stop, &|heard| meter.hear(heard))?;
+                    let args = self.colmap.features(&job, &list, shared);
+                    let ended = self.colmap.run(&args, &log, self.stop, &|progress| bar.update(progress))?;
                     if !ended.status.success() {
                         return Ok(Some(ended));
                     }
-                    meter.before.fetch_add(group.len() as u64, Ordering::Relaxed);
+                    bar.before.fetch_add(group.len() as u64, Ordering::Relaxed);
                 }
                 Ok(None)
             };
             match run()? {
                 None => {
-                    self.tell_stage("features", begin, &said);
-                    return work.note_features(Some(key));
+                    self.note_stage("features", begin, &summary);
+                    return workspace.note_features(Some(key));
                 }
-                Some(_) if self.gpu => self.once_more("search for features"),
+                Some(_) if self.gpu => self.use_processor("search for features"),
                 Some(ended) => return self.success("the search for features", &ended, &log),
             }
         }
     }
 
     /// Key of everything that the features in the database depend on.
-    fn key(&self, work: &Work) -> Result<String> {
+    fn key(&self, workspace: &Workspace) -> Result<String> {
         let mut hasher = DefaultHasher::new();
-        let Job { photos, camera_model, max_features, gpu, .. } = self.job(work)?;
+        let Job { photos, camera_model, max_features, gpu, .. } = self.job(workspace)?;
         (&photos, camera_model, max_features, gpu).hash(&mut hasher);
         (&self.colmap.version, &self.arguments.cameras).hash(&mut hasher);
         for name in &self.photos.names {
@@ -199,20 +199,20 @@ impl Cameras<'_> {
     }
 
     /// Reports the time of a stage.
-    fn tell_stage(&self, name: &str, begin: Instant, about: &str) {
+    fn note_stage(&self, name: &str, begin: Instant, about: &str) {
         let took = time(begin.elapsed().as_secs_f64());
-        self.arguments.tell(&format!("{name:<11} {took}: {about}"));
+        self.arguments.note(&format!("{name:<11} {took}: {about}"));
     }
 
-    fn run(&self, meter: Meter, words: Vec<OsString>, log: &Path) -> Result<Ended> {
-        self.colmap.run(&words, log, self.stop, &|heard| meter.hear(heard))
+    fn run(&self, bar: StageBar, args: Vec<OsString>, log: &Path) -> Result<LoggedOutput> {
+        self.colmap.run(&args, log, self.stop, &|progress| bar.update(progress))
     }
 
-    fn success(&self, what: &str, ended: &Ended, log: &Path) -> Result<()> {
+    fn success(&self, what: &str, ended: &LoggedOutput, log: &Path) -> Result<()> {
         if ended.status.success() {
             return Ok(());
         }
-        let last = ended.tail[ended.tail.len().saturating_sub(SAID)..].join(" / ");
+        let last = ended.tail[ended.tail.len().saturating_sub(QUOTED_LINES)..].join(" / ");
         let problem =
             format!("{what} failed ({}): {last}; all that it said: {}", ended.status, log.display());
         Err(Error::argument("COLMAP", problem))
@@ -227,18 +227,18 @@ impl Cameras<'_> {
     }
 
     /// The model with the most photographs, read in the same way as by training.
-    fn largest(&self, work: &Work, models: usize, log: &Path) -> Result<Found> {
+    fn largest(&self, workspace: &Workspace, models: usize, log: &Path) -> Result<Reconstruction> {
         let images = std::path::absolute(&self.photos.folder);
         let images = images.map_err(|e| Error::io(&self.photos.folder, "find", e))?;
         let options = DatasetOptions { images: images.to_string_lossy().into_owned(), ..Default::default() };
         let progress = Progress { report: None, interrupted: Some(self.stop) };
-        let gallery = Gallery::open(work.folder(), &options, progress)?;
+        let gallery = Gallery::open(workspace.folder(), &options, progress)?;
         let registered: HashSet<String> = gallery.cameras().into_iter().map(|camera| camera.name).collect();
-        if registered.len() < LEAST_PHOTOS {
+        if registered.len() < MIN_PHOTOS {
             return Err(self.unconnected(registered.len(), log));
         }
-        let model = ashsplat_files::colmap::find(work.folder())?.folder;
-        Ok(Found { model, registered, points: gallery.points().len(), models })
+        let model = ashsplat_files::colmap::find(workspace.folder())?.folder;
+        Ok(Reconstruction { model, registered, points: gallery.points().len(), models })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Runs COLMAP: finds its version, builds its commands, reads its progress.
 
 use ashsplat::{Error, Result};
-use ashsplat_program::child::{self, Ended};
+use ashsplat_program::child::{self, LoggedOutput};
 use std::ffi::{OsStr, OsString};
 use std::fs::File;
 use std::io::Write;
@@ -44,9 +44,9 @@ impl Colmap {
         let features = help(program, "feature_extractor")?;
         let matches = help(program, "exhaustive_matcher")?;
         Self::of_help(program, &features, &matches).ok_or_else(|| {
-            let said = features.lines().find(|line| !line.trim().is_empty()).unwrap_or("nothing").trim();
+            let first_line = features.lines().find(|line| !line.trim().is_empty()).unwrap_or("nothing").trim();
             let name = program.to_string_lossy();
-            Error::argument("COLMAP", format!("`{name} feature_extractor -h` says {said:?}, not what COLMAP says; COLMAP is installed by {INSTALL}"))
+            Error::argument("COLMAP", format!("`{name} feature_extractor -h` says {first_line:?}, not what COLMAP says; COLMAP is installed by {INSTALL}"))
         })
     }
 
@@ -64,44 +64,44 @@ impl Colmap {
 
     /// Command that extracts features from the photographs of a list.
     pub fn features(&self, job: &Job, list: &Path, single_camera: bool) -> Vec<OsString> {
-        let mut words = vec!["feature_extractor".into()];
-        words.extend(job.database());
-        words.extend(["--image_path".into(), job.photos.clone().into()]);
-        words.extend(["--image_list_path".into(), list.into()]);
-        words.extend(["--ImageReader.camera_model".into(), job.camera_model.clone().into()]);
-        words.extend(["--ImageReader.single_camera".into(), switch(single_camera)]);
-        words.extend(chosen(&self.max_num_features, job.max_features.to_string()));
+        let mut args = vec!["feature_extractor".into()];
+        args.extend(job.database());
+        args.extend(["--image_path".into(), job.photos.clone().into()]);
+        args.extend(["--image_list_path".into(), list.into()]);
+        args.extend(["--ImageReader.camera_model".into(), job.camera_model.clone().into()]);
+        args.extend(["--ImageReader.single_camera".into(), switch(single_camera)]);
+        args.extend(chosen(&self.max_num_features, job.max_features.to_string()));
         if !job.gpu {
-            words.extend(chosen(&self.max_image_size, MAX_SIDE_WITHOUT_GPU.to_string()));
+            args.extend(chosen(&self.max_image_size, MAX_SIDE_WITHOUT_GPU.to_string()));
         }
-        words.extend(chosen(&self.gpu_of_features, switch(job.gpu)));
-        words
+        args.extend(chosen(&self.gpu_of_features, switch(job.gpu)));
+        args
     }
 
     /// Command that compares `photographs` photographs.
     pub fn matches(&self, job: &Job, matcher: Matcher, photographs: usize) -> Vec<OsString> {
-        let mut words = vec![matcher.command().into()];
-        words.extend(job.database());
+        let mut args = vec![matcher.command().into()];
+        args.extend(job.database());
         if matcher == Matcher::Exhaustive {
             // COLMAP reports progress once per pair of blocks.
             let block = photographs.div_ceil(BLOCKS).clamp(4, 50).to_string();
-            words.extend(["--ExhaustiveMatching.block_size".into(), block.into()]);
+            args.extend(["--ExhaustiveMatching.block_size".into(), block.into()]);
         }
-        words.extend(chosen(&self.gpu_of_matches, switch(job.gpu)));
-        words
+        args.extend(chosen(&self.gpu_of_matches, switch(job.gpu)));
+        args
     }
 
     /// Command that places the cameras; models go to `folder/0`, `folder/1`, …
     pub fn mapping(&self, job: &Job, folder: &Path) -> Vec<OsString> {
-        let mut words = vec!["mapper".into()];
-        words.extend(job.database());
-        words.extend(["--image_path".into(), job.photos.clone().into()]);
-        words.extend(["--output_path".into(), folder.into()]);
+        let mut args = vec!["mapper".into()];
+        args.extend(job.database());
+        args.extend(["--image_path".into(), job.photos.clone().into()]);
+        args.extend(["--output_path".into(), folder.into()]);
         if job.video {
             // Neighbouring frames are near each other. COLMAP's automatic_reconstructor uses this for videos.
-            words.extend(["--Mapper.init_min_tri_angle".into(), "8".into()]);
+            args.extend(["--Mapper.init_min_tri_angle".into(), "8".into()]);
         }
-        words
+        args
     }
 
     /// Runs COLMAP with these arguments; its output is appended to `log`.
@@ -110,20 +110,20 @@ impl Colmap {
     /// Same as [`child::run_logged`].
     pub fn run(
         &self,
-        words: &[OsString],
+        args: &[OsString],
         log: &Path,
         stop: &AtomicBool,
-        heard: &(dyn Fn(Heard) + Sync),
-    ) -> Result<Ended> {
+        progress: &(dyn Fn(ColmapProgress) + Sync),
+    ) -> Result<LoggedOutput> {
         let mut command = Command::new(&self.program);
         // Without it, COLMAP opens windows, even without a display.
-        command.args(words).env("QT_QPA_PLATFORM", "offscreen");
-        let asked: Vec<_> = words.iter().map(|word| word.to_string_lossy()).collect();
+        command.args(args).env("QT_QPA_PLATFORM", "offscreen");
+        let text: Vec<_> = args.iter().map(|word| word.to_string_lossy()).collect();
         let file = File::options().create(true).append(true).open(log);
-        file.and_then(|mut file| writeln!(file, "$ {} {}", self.program.to_string_lossy(), asked.join(" ")))
+        file.and_then(|mut file| writeln!(file, "$ {} {}", self.program.to_string_lossy(), text.join(" ")))
             .map_err(|e| Error::io(log, "write", e))?;
-        let hear = |line: &str| Heard::of(line).into_iter().for_each(heard);
-        child::run_logged(command, log, stop, &hear)
+        let update = |line: &str| ColmapProgress::of(line).into_iter().for_each(progress);
+        child::run_logged(command, log, stop, &update)
     }
 }
 
@@ -182,14 +182,14 @@ impl Matcher {
 
 /// Progress of a stage by COLMAP's output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Heard {
+pub enum ColmapProgress {
     /// Finished steps, and all steps.
-    Of(u64, u64),
+    Steps(u64, u64),
     /// Number of photographs with a camera.
     Registered(u64),
 }
 
-impl Heard {
+impl ColmapProgress {
     fn of(line: &str) -> Option<Self> {
         if line.contains("Registering image") {
             // "Registering image #5 (3)"; in newer versions "(num_reg_frames=3)".
@@ -211,10 +211,10 @@ impl Heard {
             Some((number(done)?, number(all)?))
         });
         match (parts.next()??, parts.next()) {
-            ((done, all), None) => Some(Self::Of(done, all)),
+            ((done, all), None) => Some(Self::Steps(done, all)),
             ((row, rows), Some(column)) => {
                 let (column, columns) = column?;
-                Some(Self::Of(
+                Some(Self::Steps(
                     row.saturating_sub(1).saturating_mul(columns).saturating_add(column),
                     rows.saturating_mul(columns),
                 ))
@@ -233,16 +233,16 @@ fn number(text: &str) -> Option<u64> {
 
 /// Help of a COLMAP command, from stdout or stderr.
 fn help(program: &OsStr, command: &str) -> Result<String> {
-    let asked = Command::new(program)
+    let result = Command::new(program)
         .args([command, "-h"])
         .env("QT_QPA_PLATFORM", "offscreen")
         .stdin(Stdio::null())
         .output();
-    let said = asked.map_err(|e| {
+    let output = result.map_err(|e| {
         let name = program.to_string_lossy();
         Error::argument("poses", format!("{}: {INSTALL}", child::not_started(&name, &e)))
     })?;
-    Ok([said.stdout, said.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).join("\n"))
+    Ok([output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).join("\n"))
 }
 
 /// "COLMAP 3.8" from "COLMAP 3.8 (Commit Unknown on Unknown without CUDA)".
@@ -271,9 +271,9 @@ mod tests {
                        --ImageReader.camera_model arg\n  --FeatureExtraction.use_gpu arg (=1)\n  \
                        --FeatureExtraction.max_image_size arg (=3200)\n  --SiftExtraction.max_num_features arg (=8192)\n";
 
-    fn words(words: Vec<OsString>) -> String {
-        let words: Vec<String> = words.into_iter().map(|word| word.into_string().expect("text")).collect();
-        words.join(" ")
+    fn args(args: Vec<OsString>) -> String {
+        let args: Vec<String> = args.into_iter().map(|word| word.into_string().expect("text")).collect();
+        args.join(" ")
     }
 
     fn job(gpu: bool, video: bool) -> Job {
@@ -295,32 +295,32 @@ mod tests {
         let new = Colmap::of_help(program, NEW, "--FeatureMatching.use_gpu arg").expect("COLMAP");
         assert_eq!((new.version.as_str(), new.cuda), ("COLMAP 3.13.0", true));
         assert_eq!(
-            words(old.features(&job(false, false), Path::new("w/list"), true)),
+            args(old.features(&job(false, false), Path::new("w/list"), true)),
             "feature_extractor --database_path w/database.db --image_path my photos --image_list_path w/list \
              --ImageReader.camera_model OPENCV --ImageReader.single_camera 1 --SiftExtraction.max_num_features 4096 \
              --SiftExtraction.max_image_size 2000 --SiftExtraction.use_gpu 0"
         );
-        let features = words(new.features(&job(true, false), Path::new("w/list"), false));
+        let features = args(new.features(&job(true, false), Path::new("w/list"), false));
         assert!(features.ends_with(
             "single_camera 0 --SiftExtraction.max_num_features 4096 --FeatureExtraction.use_gpu 1"
         ));
-        let features = words(new.features(&job(false, false), Path::new("w/list"), false));
+        let features = args(new.features(&job(false, false), Path::new("w/list"), false));
         assert!(features.ends_with(
             "--SiftExtraction.max_num_features 4096 --FeatureExtraction.max_image_size 2000 --FeatureExtraction.use_gpu 0"
         ));
         assert_eq!(
-            words(new.matches(&job(false, true), Matcher::Sequential, 90)),
+            args(new.matches(&job(false, true), Matcher::Sequential, 90)),
             "sequential_matcher --database_path w/database.db --FeatureMatching.use_gpu 0"
         );
         let without = Colmap::of_help(program, "COLMAP 9\n--ImageReader.camera_model", "").expect("COLMAP");
         assert_eq!(
-            words(without.matches(&job(true, false), Matcher::Exhaustive, 60)),
+            args(without.matches(&job(true, false), Matcher::Exhaustive, 60)),
             "exhaustive_matcher --database_path w/database.db --ExhaustiveMatching.block_size 10"
         );
         assert!(
-            words(without.features(&job(false, false), Path::new("l"), true)).ends_with("single_camera 1")
+            args(without.features(&job(false, false), Path::new("l"), true)).ends_with("single_camera 1")
         );
-        let mapping = |video| words(old.mapping(&job(false, video), Path::new("w/sparse")));
+        let mapping = |video| args(old.mapping(&job(false, video), Path::new("w/sparse")));
         assert!(mapping(false).ends_with("--image_path my photos --output_path w/sparse"));
         assert!(mapping(true).ends_with("--Mapper.init_min_tri_angle 8"));
         assert_eq!(Colmap::of_help(program, "usage: colmap [-h]", ""), None);
@@ -328,21 +328,27 @@ mod tests {
 
     #[test]
     fn progress_is_read_from_all_versions() {
-        let heard = Heard::of;
-        assert_eq!(heard("Processed file [3/11]"), Some(Heard::Of(3, 11)));
+        let progress = ColmapProgress::of;
+        assert_eq!(progress("Processed file [3/11]"), Some(ColmapProgress::Steps(3, 11)));
         assert_eq!(
-            heard("I20260105 12:00:00 1 feature_extraction.cc:258] Processed file [3/11]"),
-            Some(Heard::Of(3, 11))
+            progress("I20260105 12:00:00 1 feature_extraction.cc:258] Processed file [3/11]"),
+            Some(ColmapProgress::Steps(3, 11))
         );
-        assert_eq!(heard("Matching block [2/3, 1/3] in 6.997s"), Some(Heard::Of(4, 9)));
-        assert_eq!(heard("I1 pairing.cc:1] Processing block [3/3, 3/3]"), Some(Heard::Of(9, 9)));
-        assert_eq!(heard("Matching image [7/50] in 0.1s"), Some(Heard::Of(7, 50)));
-        assert_eq!(heard("Registering image #5 (3)"), Some(Heard::Registered(3)));
-        assert_eq!(heard("I1 a.cc:1] Registering image #5 (num_reg_frames=12)"), Some(Heard::Registered(12)));
+        assert_eq!(progress("Matching block [2/3, 1/3] in 6.997s"), Some(ColmapProgress::Steps(4, 9)));
+        assert_eq!(
+            progress("I1 pairing.cc:1] Processing block [3/3, 3/3]"),
+            Some(ColmapProgress::Steps(9, 9))
+        );
+        assert_eq!(progress("Matching image [7/50] in 0.1s"), Some(ColmapProgress::Steps(7, 50)));
+        assert_eq!(progress("Registering image #5 (3)"), Some(ColmapProgress::Registered(3)));
+        assert_eq!(
+            progress("I1 a.cc:1] Registering image #5 (num_reg_frames=12)"),
+            Some(ColmapProgress::Registered(12))
+        );
         for other in
             ["", "  Name: [3/11]", "Processed file [x/11]", "Matching block [1/1, 1]", "Registering image"]
         {
-            assert_eq!(heard(other), None, "{other}");
+            assert_eq!(progress(other), None, "{other}");
         }
     }
 }

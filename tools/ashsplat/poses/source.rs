@@ -208,10 +208,10 @@ fn bad_name(path: &Path) -> Error {
 }
 
 /// Groups photographs that share a camera: of one size, and with the same camera and focal length in their metadata.
-pub fn by_camera(names: &[String], looks: &[Look]) -> Vec<Vec<String>> {
-    let mut groups: BTreeMap<&Look, Vec<String>> = BTreeMap::new();
-    for (name, look) in names.iter().zip(looks) {
-        groups.entry(look).or_default().push(name.clone());
+pub fn by_camera(names: &[String], infos: &[PhotoInfo]) -> Vec<Vec<String>> {
+    let mut groups: BTreeMap<&PhotoInfo, Vec<String>> = BTreeMap::new();
+    for (name, info) in names.iter().zip(infos) {
+        groups.entry(info).or_default().push(name.clone());
     }
     let mut groups: Vec<Vec<String>> = groups.into_values().collect();
     // The largest group first, then by name: the order does not depend on the metadata.
@@ -221,14 +221,14 @@ pub fn by_camera(names: &[String], looks: &[Look]) -> Vec<Vec<String>> {
 
 /// Properties that photographs of one camera share.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Look {
+pub struct PhotoInfo {
     /// Width and height as stored, pixels.
     pub size: (u32, u32),
     /// Maker, model and focal length from the metadata; empty without.
     pub lens: String,
 }
 
-impl Look {
+impl PhotoInfo {
     /// Reads the metadata of a photograph of this size.
     pub fn of(path: &Path, size: (u32, u32)) -> Self {
         use exif::{In, Reader, Tag};

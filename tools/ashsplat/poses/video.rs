@@ -22,7 +22,7 @@ const MAX_SIDE: u32 = 16_384;
 const FORMATS: &str = "mov,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,gif,mxf,nut,ivf,dv,h264,hevc,m4v,mjpeg,\
                        yuv4mpegpipe,wtv,rm,obu,apng";
 /// Largest number of frames: names have five digits.
-const MOST: usize = 10_000;
+const MAX_FRAMES: usize = 10_000;
 /// Default number of frames per second, and its least and largest total.
 const PER_SECOND: f64 = 2.0;
 const USUAL: [usize; 2] = [40, 150];
@@ -36,18 +36,18 @@ pub struct Video {
 
 /// Requested number of frames.
 #[derive(Clone, Copy, Debug)]
-pub struct Wanted {
+pub struct FrameRequest {
     pub frames: Option<usize>,
     pub every: Option<f64>,
 }
 
-impl Wanted {
+impl FrameRequest {
     /// Number of intervals; one frame is taken from each.
     pub fn of(self, video: &Video) -> usize {
         let usual = || intervals(video, 1.0 / PER_SECOND).clamp(USUAL[0], USUAL[1]);
         let count = self.requested(video).unwrap_or_else(usual);
         // More would take a frame twice.
-        count.clamp(1, video.frames.clamp(1, MOST))
+        count.clamp(1, video.frames.clamp(1, MAX_FRAMES))
     }
 
     /// The requested number, if any.
@@ -65,7 +65,7 @@ pub struct Reader<'a> {
     pub program: &'a OsStr,
     pub path: &'a Path,
     /// Memory budget of frames.
-    pub most_bytes: u64,
+    pub max_bytes: u64,
     pub stop: &'a AtomicBool,
 }
 
@@ -79,12 +79,12 @@ impl Reader<'_> {
         command.args(["-map", "0:v:0", "-c", "copy", "-f", "null"]);
         // The null muxer opens no file.
         command.arg("-").stdout(Stdio::piped());
-        let mut said = String::new();
+        let mut output = String::new();
         self.read(command, |stdout| {
-            stdout.read_to_string(&mut said).map_err(|e| Error::io(self.path, "read", e))?;
+            stdout.read_to_string(&mut output).map_err(|e| Error::io(self.path, "read", e))?;
             Ok(())
         })?;
-        let video = Video::of_progress(&said).filter(|video| video.frames > 0);
+        let video = Video::of_progress(&output).filter(|video| video.frames > 0);
         video.ok_or_else(|| self.refused("ffmpeg finds no frames in it".into()))
     }
 
@@ -108,9 +108,9 @@ impl Reader<'_> {
             let mut input = BufReader::with_capacity(1 << 20, stdout);
             let mut index = 0;
             // Three pictures are in memory: the sharpest so far, its rival, and the next.
-            let most = self.most_bytes / 3;
+            let max_bytes = self.max_bytes / 3;
             while let Some(photo) =
-                read_ppm(&mut input, most).map_err(|e| Error::io(self.path, "decode", e))?
+                read_ppm(&mut input, max_bytes).map_err(|e| Error::io(self.path, "decode", e))?
             {
                 if self.stop.load(Ordering::Relaxed) {
                     return Err(Error::Interrupted);
@@ -147,8 +147,8 @@ impl Reader<'_> {
     ) -> Result<()> {
         let io = |e| Error::io(self.path, "read", e);
         // A file instead of a pipe: no thread would read the pipe.
-        let mut said = tempfile::tempfile().map_err(io)?;
-        let stderr = said.try_clone().map_err(io)?;
+        let mut errors = tempfile::tempfile().map_err(io)?;
+        let stderr = errors.try_clone().map_err(io)?;
         let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(stderr).spawn();
         let name = self.program.to_string_lossy();
         let missing = |e| {
@@ -169,7 +169,7 @@ impl Reader<'_> {
         let status = ffmpeg.wait(self.stop).map_err(io)?.ok_or(Error::Interrupted)?;
         if !status.success() {
             let mut text = String::new();
-            said.rewind().and_then(|()| said.read_to_string(&mut text)).map_err(io)?;
+            errors.rewind().and_then(|()| errors.read_to_string(&mut text)).map_err(io)?;
             if text.contains("not on whitelist") {
                 let problem = "is a playlist, a list of files or no usual video: only files that hold a video themselves are read";
                 return Err(Error::input(
@@ -222,8 +222,8 @@ impl Rate {
     fn of(video: &Video, count: usize) -> Self {
         // A video of one frame has no length.
         let seconds = if video.seconds > 0.0 { video.seconds } else { 0.04 * video.frames as f64 };
-        let most = video.frames as f64 / seconds;
-        Self { per_second: ((CANDIDATES * count) as f64 / seconds).min(most), seconds }
+        let max_per_second = video.frames as f64 / seconds;
+        Self { per_second: ((CANDIDATES * count) as f64 / seconds).min(max_per_second), seconds }
     }
 
     /// Filter for a fixed rate, and for the colours that the video's tags declare.
@@ -268,7 +268,7 @@ impl Picker {
 }
 
 /// Reads the next picture of a stream of PPMs (P6, 8 bits); `None` at its end.
-fn read_ppm(input: &mut impl Read, most_bytes: u64) -> std::io::Result<Option<Photo>> {
+fn read_ppm(input: &mut impl Read, max_bytes: u64) -> std::io::Result<Option<Photo>> {
     let bad = || std::io::Error::new(ErrorKind::InvalidData, "ffmpeg's output is no PPM");
     let mut words: Vec<String> = vec![String::new()];
     let mut byte = [0];
@@ -280,14 +280,14 @@ fn read_ppm(input: &mut impl Read, most_bytes: u64) -> std::io::Result<Option<Ph
             _ => words.last_mut().filter(|word| word.len() < 10).ok_or_else(bad)?.push(char::from(byte[0])),
         }
     }
-    let [magic, width, height, most] = [0, 1, 2, 3].map(|at| words[at].as_str());
+    let [magic, width, height, max_value] = [0, 1, 2, 3].map(|at| words[at].as_str());
     let side = |text: &str| text.parse().ok().filter(|side| (1..=MAX_SIDE).contains(side)).ok_or_else(bad);
     let (width, height) = (side(width)?, side(height)?);
-    if magic != "P6" || most != "255" {
+    if magic != "P6" || max_value != "255" {
         return Err(bad());
     }
     let bytes = 3 * u64::from(width) * u64::from(height);
-    if bytes > most_bytes {
+    if bytes > max_bytes {
         let text = format!("a frame of {width}x{height} pixels needs more than --max-host-memory leaves");
         return Err(std::io::Error::new(ErrorKind::OutOfMemory, text));
     }
@@ -303,13 +303,13 @@ mod tests {
     #[test]
     fn intervals_follow_the_options_and_the_video() {
         let video = Video { seconds: 30.0, frames: 900 };
-        let count = |frames, every, video: &Video| Wanted { frames, every }.of(video);
+        let count = |frames, every, video: &Video| FrameRequest { frames, every }.of(video);
         assert_eq!(count(None, None, &video), 60);
         assert_eq!(count(Some(25), None, &video), 25);
         assert_eq!(count(None, Some(0.4), &video), 75);
         assert_eq!(count(None, None, &Video { seconds: 4.0, frames: 100 }), 40);
         assert_eq!(count(None, None, &Video { seconds: 600.0, frames: 18_000 }), 150);
-        assert_eq!(count(None, Some(0.001), &Video { seconds: 600.0, frames: 18_000 }), MOST);
+        assert_eq!(count(None, Some(0.001), &Video { seconds: 600.0, frames: 18_000 }), MAX_FRAMES);
         // Not more than the video has.
         assert_eq!(count(Some(500), None, &Video { seconds: 4.0, frames: 100 }), 100);
         for (video, count) in [(video, 60), (video, 900), (Video { seconds: 0.0, frames: 1 }, 1)] {
@@ -317,17 +317,17 @@ mod tests {
             let looked = (rate.per_second * rate.seconds).round() as usize;
             let intervals: Vec<usize> = (0..looked).map(|index| rate.interval(index, count)).collect();
             assert_eq!((intervals[0], intervals[looked - 1]), (0, count - 1), "{video:?}");
-            let most = intervals.chunk_by(|a, b| a == b).map(<[usize]>::len).max().expect("some");
-            assert!(intervals.is_sorted() && most <= CANDIDATES, "{video:?}: {most}");
+            let max = intervals.chunk_by(|a, b| a == b).map(<[usize]>::len).max().expect("some");
+            assert!(intervals.is_sorted() && max <= CANDIDATES, "{video:?}: {max}");
         }
         assert_eq!(Rate::of(&video, 60).filter(), "fps=16.000000,scale=in_color_matrix=auto,format=rgb24");
     }
 
     #[test]
     fn progress_of_ffmpeg_is_read() {
-        let said = "frame=10\nfps=0.0\nout_time=00:00:00.400000\nprogress=continue\nframe=2700\nout_time_us=90000000\n\
+        let text = "frame=10\nfps=0.0\nout_time=00:00:00.400000\nprogress=continue\nframe=2700\nout_time_us=90000000\n\
                     out_time=00:01:30.500000\nprogress=end\n";
-        assert_eq!(Video::of_progress(said), Some(Video { seconds: 90.5, frames: 2700 }));
+        assert_eq!(Video::of_progress(text), Some(Video { seconds: 90.5, frames: 2700 }));
         for other in ["", "frame=3\nout_time=N/A\n", "out_time=00:00:01.0\n"] {
             assert_eq!(Video::of_progress(other), None, "{other}");
         }

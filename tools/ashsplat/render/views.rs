@@ -15,7 +15,7 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 /// Largest number of views of an orbit or a curve: an hour of film at 28 frames per second.
-const MOST_FRAMES: i64 = 100_000;
+const MAX_FRAMES: i64 = 100_000;
 /// Default number of frames of a film.
 const FILM_FRAMES: u32 = 240;
 
@@ -26,7 +26,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "DATASET", conflicts_with_all = ["orbit", "path", "motion"])]
     source_path: Option<PathBuf>,
     /// Render N views around the scene, where the cameras of the training saw it [default for films: 240]
-    #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
+    #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES))]
     orbit: Option<u32>,
     /// How an orbit moves: in a full circle (orbit), the part of it in which there are cameras (arc), or a smooth curve along the cameras
     /// (path) [default: as suits the training's cameras]
@@ -37,7 +37,7 @@ pub struct Arguments {
     path: Option<PathBuf>,
     /// Render N views on a smooth curve through those of --path; a model folder's cameras.json is sorted by name, another
     /// file keeps its order
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES))]
     frames: Option<u32>,
     /// Up direction of an orbit for a PLY without cameras [default: 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]

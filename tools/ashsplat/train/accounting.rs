@@ -25,13 +25,13 @@ pub struct Effect {
     still: u32,
     /// First loss of each view in these iterations.
     losses: BTreeMap<usize, f32>,
-    said: bool,
+    reported: bool,
 }
 
 impl Effect {
     /// Counts an iteration of a run of `iterations` with `views`. Returns the warning once.
     fn after(&mut self, report: &StepReport, views: u32, iterations: u32) -> Option<String> {
-        if report.skipped || self.said {
+        if report.skipped || self.reported {
             return None;
         }
         self.empty = if report.visible == 0 { self.empty + 1 } else { 0 };
@@ -50,7 +50,7 @@ impl Effect {
         } else {
             return None;
         };
-        self.said = true;
+        self.reported = true;
         Some(warning)
     }
 }

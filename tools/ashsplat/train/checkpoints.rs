@@ -44,15 +44,15 @@ impl From<OsString> for StartFrom {
 }
 
 /// A checkpoint to continue from.
-pub struct Start {
+pub struct ResumePoint {
     from: StartFrom,
     path: PathBuf,
     checkpoint: Checkpoint,
 }
 
-impl Start {
+impl ResumePoint {
     /// Finds and reads the checkpoint; `None` if [`StartFrom::Auto`] finds none.
-    pub fn find(from: &StartFrom, folder: &Path, host: &HostArguments) -> Result<Option<Start>> {
+    pub fn find(from: &StartFrom, folder: &Path, host: &HostArguments) -> Result<Option<ResumePoint>> {
         let path = match from {
             StartFrom::Latest => newest(folder).ok_or_else(|| no_checkpoint(folder))?,
             StartFrom::Auto => match newest(folder) {
@@ -62,7 +62,7 @@ impl Start {
             StartFrom::File(path) | StartFrom::Exchanged(path) => path.clone(),
         };
         let checkpoint = Checkpoint::read_within(&path, &host.memory())?;
-        Ok(Some(Start { from: from.clone(), path, checkpoint }))
+        Ok(Some(ResumePoint { from: from.clone(), path, checkpoint }))
     }
 
     /// True if the start is automatic; a scheduler may retry a training that is complete.
@@ -97,20 +97,20 @@ impl Start {
     pub fn warn(&self, context: &Context) {
         let (device, driver) = (context.device_name(), &context.description().driver);
         for difference in self.checkpoint.differences(device, driver, &context.limits().kernel_forms()) {
-            tell!(
+            errln!(
                 "warning: {}: {difference}; the result may differ from that of a run without interruption",
                 self.path.display()
             );
         }
-        let said = |bytes: Option<u64>| bytes.map_or("none".into(), args::size);
+        let size_text = |bytes: Option<u64>| bytes.map_or("none".into(), args::size);
         let (there, here) = (self.checkpoint.capacities.max_memory, context.max_memory());
         if there != here {
-            tell!(
+            errln!(
                 "warning: {}: was made with --max-memory {}, here it is {}; densification may stop elsewhere, and the \
                  result may differ from that of a run without interruption",
                 self.path.display(),
-                said(there),
-                said(here)
+                size_text(there),
+                size_text(here)
             );
         }
     }
@@ -213,7 +213,7 @@ impl Run {
         Some(format!("; to go on from iteration {older}, {}", self.command_to_go_on()))
     }
 
-    pub(super) fn say_how_to_go_on(&self, iteration: u32) {
+    pub(super) fn print_how_to_resume(&self, iteration: u32) {
         let command = self.command_to_go_on();
         // Printed even with --quiet: whoever stops a training needs it.
         self.progress.warn(&match iteration == self.settings.train.iterations {
@@ -263,13 +263,13 @@ impl Run {
                 false => self.save(iteration, reason),
             };
             if let Err(error) = saved {
-                tell!("warning: the scene is not saved: {error}");
+                errln!("warning: the scene is not saved: {error}");
             }
         }
         if self.checkpointed != Some(iteration)
             && let Err(error) = checkpoint.and_then(|checkpoint| self.write_that(checkpoint))
         {
-            tell!("warning: no checkpoint: {error}{}", self.older_checkpoint().unwrap_or_default());
+            errln!("warning: no checkpoint: {error}{}", self.older_checkpoint().unwrap_or_default());
         }
     }
 }

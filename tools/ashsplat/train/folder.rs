@@ -117,14 +117,14 @@ fn keep_earlier(folder: &Path) -> Result<()> {
         let (from, to) = (folder.join(name), unfinished.join(name));
         let moved = std::fs::create_dir_all(to.parent().unwrap_or(&unfinished));
         if let Err(error) = moved.and_then(|()| std::fs::rename(&from, &to)) {
-            tell!("warning: {}: is of an earlier training and cannot be moved: {error}", from.display());
+            errln!("warning: {}: is of an earlier training and cannot be moved: {error}", from.display());
         }
     }
     let earlier = (1..).map(|n| folder.join(format!("earlier_{n}"))).find(|path| !path.exists());
     let earlier = earlier.unwrap_or_default();
     std::fs::rename(&unfinished, &earlier).map_err(|e| Error::io(&unfinished, "move", e))?;
     let (folder, earlier) = (folder.display(), earlier.display());
-    tell!(
+    errln!(
         "warning: {folder}: had an earlier training, which is in {earlier} now; remove it if nobody needs it"
     );
     Ok(())

@@ -16,8 +16,8 @@ use ashsplat_program::session::{guarded, locked};
 use ashsplat_view::hub::Hub;
 use ashsplat_view::protocol::{ToPage, TrainAction};
 use ashsplat_view::render_thread::RenderThread;
-use ashsplat_view::server::{ServeArguments, Server, Site};
-use ashsplat_view::{PhotoAppearances, Photos, Subject, announce, render_thread, server};
+use ashsplat_view::server::{AppState, ServeArguments, Server};
+use ashsplat_view::{LoadedScene, PhotoAppearances, Photos, announce, render_thread, server};
 use clap::Args;
 use curves::Curves;
 use serde_json::json;
@@ -58,18 +58,18 @@ impl LiveArguments {
     }
 
     /// Opens the requested port, if any.
-    pub fn open(&self) -> Result<Option<Door>> {
+    pub fn open(&self) -> Result<Option<Port>> {
         let Some(port) = self.view else { return Ok(None) };
         let (host, token) = (self.view_host.clone(), self.view_token.clone());
         let allow_origin = self.view_allow_origin.clone();
         let serve = ServeArguments { host, port, token, allow_origin, of_training: true };
-        Ok(Some(Door { listener: server::open(&serve)?, serve, share: self.view_share }))
+        Ok(Some(Port { listener: server::open(&serve)?, serve, share: self.view_share }))
     }
 }
 
 /// An open port that is not served yet; early connections wait. It is opened before anything is loaded, so that a port
 /// in use is an error at once.
-pub struct Door {
+pub struct Port {
     listener: TcpListener,
     serve: ServeArguments,
     /// See [`LiveArguments`].
@@ -79,7 +79,7 @@ pub struct Door {
 /// Least time between two new pictures for pages that follow the training.
 const RENEWAL: Duration = Duration::from_millis(500);
 /// Time between two checks of a paused training.
-const REST: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// The viewers' requests to the training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -105,26 +105,26 @@ pub struct Live {
 
 impl Live {
     /// Accepts connections at the port. `device`: the device's name.
-    fn start(door: Door, subject: Subject, device: &str, settings: &Settings) -> Result<Live> {
+    fn start(port: Port, scene: LoadedScene, device: &str, settings: &Settings) -> Result<Live> {
         let hub = Arc::new(Hub::default());
         let (data, iterations) = (&settings.data, settings.train.iterations);
-        hub.greet_with(&subject.greeting(device, Some(iterations)));
+        hub.greet_with(&scene.greeting(device, Some(iterations)));
         let curves = Arc::new(Mutex::new(Curves::new(iterations)));
-        let asked = curves.clone();
-        hub.set_status(move |since| locked(&asked).status(since).to_string());
+        let status_curves = curves.clone();
+        hub.set_status(move |since| locked(&status_curves).status(since).to_string());
         let films = data.model_path.join("films");
-        let mut render_thread = RenderThread::new(hub.clone(), subject.base, films.clone());
-        render_thread.show(subject.base, subject.appearances, subject.frame);
-        let site = Site::new(hub.clone(), films, door.serve.clone());
-        site.show_photos(subject.photos);
-        let server = server::start(door.listener, site)?;
-        announce(server.address, &door.serve);
+        let mut render_thread = RenderThread::new(hub.clone(), scene.base, films.clone());
+        render_thread.show(scene.base, scene.appearances, scene.frame);
+        let state = AppState::new(hub.clone(), films, port.serve.clone());
+        state.show_photos(scene.photos);
+        let server = server::start(port.listener, state)?;
+        announce(server.address, &port.serve);
         Ok(Live {
             render_thread,
             hub,
             _server: server,
             curves,
-            allowance: Allowance::new(door.share),
+            allowance: Allowance::new(port.share),
             trains_since: Instant::now(),
             renewed: Instant::now(),
             paused: false,
@@ -141,10 +141,10 @@ impl Live {
             self.renewed = Instant::now();
             self.hub.renew();
         }
-        if self.allowance.permits() && self.hub.is_wanted() {
+        if self.allowance.permits() && self.hub.has_work() {
             self.timed(|live| live.render_thread.serve(trainer, Duration::ZERO))?;
         }
-        Ok(self.heed())
+        Ok(self.take_requests())
     }
 
     /// True if training waits after this iteration.
@@ -159,8 +159,8 @@ impl Live {
         self.hub.renew();
         self.note(|curves| curves.pause(true));
         loop {
-            self.render_thread.serve(trainer, REST)?;
-            let request = self.heed();
+            self.render_thread.serve(trainer, POLL_INTERVAL)?;
+            let request = self.take_requests();
             let stop = stop.load(Ordering::Relaxed);
             if request != TrainRequest::default() || stop || !self.waits() {
                 self.note(|curves| curves.pause(self.paused));
@@ -186,7 +186,7 @@ impl Live {
         while self.hub.has_films() && !stop.load(Ordering::Relaxed) {
             // Discards requests: training is over, and pending ones would end each wait at once.
             self.hub.actions();
-            self.render_thread.serve(trainer, REST)?;
+            self.render_thread.serve(trainer, POLL_INTERVAL)?;
         }
         if !stop.load(Ordering::Relaxed) {
             self.render_thread.finish();
@@ -213,13 +213,13 @@ impl Live {
     }
 
     /// Reports an error to the pages. Returns it if it must end the training.
-    fn tell(&self, error: Error) -> Result<()> {
+    fn report_error(&self, error: Error) -> Result<()> {
         self.hub.broadcast(&ToPage::problem(&error.to_string()));
         render_thread::fatal(error)
     }
 
     /// Collects the pages' requests.
-    fn heed(&mut self) -> TrainRequest {
+    fn take_requests(&mut self) -> TrainRequest {
         let mut request = TrainRequest::default();
         for action in self.hub.actions() {
             match action {
@@ -237,12 +237,12 @@ impl Live {
 
 impl Run {
     /// Starts the viewers, if requested.
-    pub fn look_on(&mut self, door: Option<Door>, context: &Context, gallery: Option<Gallery>) -> Result<()> {
-        let Some(door) = door else { return Ok(()) };
+    pub fn serve(&mut self, port: Option<Port>, context: &Context, gallery: Option<Gallery>) -> Result<()> {
+        let Some(port) = port else { return Ok(()) };
         let (data, train) = (&self.settings.data, &self.settings.train);
         let cameras = gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default();
         let learns = [train.exposure, train.lens_effects];
-        let subject = Subject {
+        let scene = LoadedScene {
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
             frame: self.views.frame,
@@ -257,9 +257,9 @@ impl Run {
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: Some("in training".into()),
             file: Some(data.model_path.clone()),
-            ..Subject::default()
+            ..LoadedScene::default()
         };
-        self.live = Some(Live::start(door, subject, context.device_name(), &self.settings)?);
+        self.live = Some(Live::start(port, scene, context.device_name(), &self.settings)?);
         Ok(())
     }
 
@@ -298,8 +298,8 @@ impl Run {
                     }
                     Err(error) => {
                         self.progress.warn(&format!("warning: not saved: {error}"));
-                        self.unsaved.wants_scene();
-                        live.tell(error)?;
+                        self.retries.retry_scene();
+                        live.report_error(error)?;
                     }
                 }
             }
@@ -312,7 +312,7 @@ impl Run {
     }
 
     /// True if a page shows the curves.
-    pub(super) fn is_looked_at(&self) -> bool {
+    pub(super) fn has_viewers(&self) -> bool {
         self.live.as_ref().is_some_and(|live| live.hub.pages() > 0)
     }
 

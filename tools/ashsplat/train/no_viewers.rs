@@ -27,13 +27,13 @@ impl LiveArguments {
 pub enum Live {}
 
 impl Run {
-    pub fn look_on(&mut self, _: Option<Live>, _: &Context, _: Option<Gallery>) -> Result<()> {
+    pub fn serve(&mut self, _: Option<Live>, _: &Context, _: Option<Gallery>) -> Result<()> {
         Ok(())
     }
 
     pub(super) fn show(&mut self, _: &StepReport, _: &AtomicBool, _: &mut Stopwatch) {}
 
-    pub(super) fn is_looked_at(&self) -> bool {
+    pub(super) fn has_viewers(&self) -> bool {
         self.live.is_some()
     }
 

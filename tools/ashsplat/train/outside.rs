@@ -8,7 +8,7 @@ use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result};
 use ashsplat_files::Gallery;
 use ashsplat_program::blocks::job::Job;
 use ashsplat_program::blocks::parts::small;
-use ashsplat_program::blocks::parts::{Part, Shown};
+use ashsplat_program::blocks::parts::{BlockPixels, Part};
 use ashsplat_program::config::Settings;
 use ashsplat_program::progress::counting;
 use ashsplat_program::session;
@@ -36,7 +36,7 @@ pub fn look(
         for (index, (named, held_out)) in cameras.iter().zip(held_out).enumerate() {
             session::check(stop)?;
             let camera = small(&named.camera);
-            let shown = Shown::of(&camera, &renderer.render(&camera, &look)?, block);
+            let shown = BlockPixels::of(&camera, &renderer.render(&camera, &look)?, block);
             let mut is_used = true;
             if parts.is_some() {
                 let part = shown.part();
@@ -61,7 +61,7 @@ pub fn look(
         }
         let without = cameras.len() - kept.len();
         if without > 0 {
-            tell!("{without} of {} photos show nothing of the block: left out", cameras.len());
+            errln!("{without} of {} photos show nothing of the block: left out", cameras.len());
             gallery.keep(&kept)?;
         }
     }

@@ -17,24 +17,24 @@ pub const REFINED_FOLDER: &str = "refined";
 pub const POSES_FILE: &str = "poses.json";
 
 /// Movement of cameras: mean and largest, in degrees and as shares of the scene's extent.
-pub struct Moved {
+pub struct PoseMovement {
     pub degrees: [f64; 2],
     pub shares: [f64; 2],
 }
 
-impl Moved {
-    fn of(changes: &[Twist], scene_extent: f32) -> Moved {
-        let mean_and_most = |values: &mut dyn Iterator<Item = f64>| -> [f64; 2] {
-            let (mut sum, mut most) = (0.0, 0.0_f64);
+impl PoseMovement {
+    fn of(changes: &[Twist], scene_extent: f32) -> PoseMovement {
+        let mean_and_max = |values: &mut dyn Iterator<Item = f64>| -> [f64; 2] {
+            let (mut sum, mut max) = (0.0, 0.0_f64);
             for value in values {
                 sum += value;
-                most = most.max(value);
+                max = max.max(value);
             }
-            [sum / changes.len().max(1) as f64, most]
+            [sum / changes.len().max(1) as f64, max]
         };
-        Moved {
-            degrees: mean_and_most(&mut changes.iter().map(angle)),
-            shares: mean_and_most(
+        PoseMovement {
+            degrees: mean_and_max(&mut changes.iter().map(angle)),
+            shares: mean_and_max(
                 &mut changes.iter().map(|change| distance(change) / f64::from(scene_extent)),
             ),
         }
@@ -42,12 +42,12 @@ impl Moved {
 
     /// The movement in words.
     pub fn describe(&self) -> String {
-        let ([degrees, most_degrees], [share, most_share]) = (self.degrees, self.shares);
+        let ([degrees, max_degrees], [share, max_share]) = (self.degrees, self.shares);
         format!(
-            "poses turned by {degrees:.3} degrees on average, at most {most_degrees:.3}; moved by {:.3} % of the scene's \
+            "poses turned by {degrees:.3} degrees on average, at most {max_degrees:.3}; moved by {:.3} % of the scene's \
              extent, at most {:.3} %",
             100.0 * share,
-            100.0 * most_share
+            100.0 * max_share
         )
     }
 }
@@ -64,10 +64,10 @@ fn distance(change: &Twist) -> f64 {
 
 impl Run {
     /// Returns `None` unless poses are optimised.
-    pub(super) fn moved(&self) -> Result<Option<Moved>> {
+    pub(super) fn pose_movement(&self) -> Result<Option<PoseMovement>> {
         match self.settings.train.pose_opt {
             false => Ok(None),
-            true => Ok(Some(Moved::of(&self.trainer.pose_changes()?, self.trainer.scene_extent()))),
+            true => Ok(Some(PoseMovement::of(&self.trainer.pose_changes()?, self.trainer.scene_extent()))),
         }
     }
 
@@ -150,7 +150,7 @@ impl Run {
             return Ok(());
         }
         let changes = self.trainer.pose_changes()?;
-        let Moved { degrees, shares } = Moved::of(&changes, self.trainer.scene_extent());
+        let PoseMovement { degrees, shares } = PoseMovement::of(&changes, self.trainer.scene_extent());
         let poses: Map<_, _> = (self.views.trained.iter().zip(&changes))
             .map(|(name, change)| {
                 let Twist { nu, omega } = *change;

@@ -13,7 +13,7 @@ use ashsplat::train::TrainSettings;
 use ashsplat_files::{View, quoted};
 use ashsplat_program::child;
 use ashsplat_program::config::{DataSettings, Settings};
-use ashsplat_program::eval::{self, Evaluation, More};
+use ashsplat_program::eval::{self, Evaluation, ExtraMeasures};
 use ashsplat_program::html::{self, escape, section};
 use ashsplat_program::output;
 use ashsplat_program::progress::thousands;
@@ -81,25 +81,28 @@ impl Run {
     /// Prints results and costs on stdout.
     pub fn report(&self) {
         for tested in &self.evaluations {
-            say!("{}", self.describe(tested));
+            outln!("{}", self.describe(tested));
         }
         if let Some(first) = self.first {
-            say!("first {} iterations: {first}", first.iterations);
+            outln!("first {} iterations: {first}", first.iterations);
         }
         if let Some(total) = self.total {
-            say!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
+            outln!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
         }
-        if let Ok(Some(moved)) = self.moved() {
-            say!("{}", moved.describe());
+        if let Ok(Some(moved)) = self.pose_movement() {
+            outln!("{}", moved.describe());
         }
         if let Some(lenses) = self.describe_lenses() {
-            say!("{lenses}");
+            outln!("{lenses}");
         }
         if self.skipped > 0 {
-            say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));
+            outln!(
+                "{} iterations were left out: their frames were too large",
+                thousands(self.skipped.into())
+            );
         }
         if self.non_finite > 0 {
-            say!("{} updates with a gradient that is not finite were skipped", thousands(self.non_finite));
+            outln!("{} updates with a gradient that is not finite were skipped", thousands(self.non_finite));
         }
     }
 }
@@ -153,7 +156,7 @@ fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
     let views = spread(&run.views.test, views::SHOWN);
     let settings = run.trainer.render_settings();
     let protocol = run.protocol()?;
-    let evaluation = eval::evaluate(views.iter().map(Ok), &protocol, More::default(), |camera| {
+    let evaluation = eval::evaluate(views.iter().map(Ok), &protocol, ExtraMeasures::default(), |camera| {
         run.trainer.render(camera, &settings)
     })?;
     Ok((views, evaluation))
@@ -226,13 +229,13 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
     cards.extend(
         evaluation.frame_ms().map(|time| (format!("{time:.2} ms"), "frame, median of the views".into())),
     );
-    if let Some(moved) = run.moved()? {
-        let ([degrees, most], [share, most_share]) = (moved.degrees, moved.shares);
-        cards.push((format!("{degrees:.3}°"), format!("poses turned, mean (most {most:.3}°)")));
-        let most_share = 100.0 * most_share;
+    if let Some(moved) = run.pose_movement()? {
+        let ([degrees, max], [share, max_share]) = (moved.degrees, moved.shares);
+        cards.push((format!("{degrees:.3}°"), format!("poses turned, mean (most {max:.3}°)")));
+        let max_share = 100.0 * max_share;
         cards.push((
             format!("{:.3} %", 100.0 * share),
-            format!("of the extent moved, mean (most {most_share:.3} %)"),
+            format!("of the extent moved, mean (most {max_share:.3} %)"),
         ));
         let last = run.evaluations.last().and_then(|tested| tested.evaluation.aligned.as_ref());
         if let Some(aligned) = last.filter(|aligned| !aligned.views.is_empty()) {
@@ -323,21 +326,21 @@ fn settings(settings: &Settings) -> Result<String> {
 }
 
 /// Reports that the training is already complete.
-pub fn say_complete(settings: &Settings) -> Result<()> {
-    say!("{} is trained to its end already", settings.data.model_path.display());
+pub fn print_complete(settings: &Settings) -> Result<()> {
+    outln!("{} is trained to its end already", settings.data.model_path.display());
     Ok(())
 }
 
 /// Prints the next commands for a trained scene. `measured` is true if held-out photographs were measured.
-pub fn say_what_next(model: &Path, measured: bool) {
+pub fn print_next_steps(model: &Path, measured: bool) {
     let name = quoted(&model.to_string_lossy());
-    say!("look at it      ashsplat view {name}");
+    outln!("look at it      ashsplat view {name}");
     // A GIF is many times as large.
     let film = if child::has("ffmpeg") { "film.mp4" } else { "film.gif" };
-    say!("make a film     ashsplat render {name} -o {film}");
-    say!("the report      {}", model.join(REPORT_FILE).display());
+    outln!("make a film     ashsplat render {name} -o {film}");
+    outln!("the report      {}", model.join(REPORT_FILE).display());
     if !measured {
-        say!("how good it is  train with --eval: every eighth photograph is held out, and measured");
+        outln!("how good it is  train with --eval: every eighth photograph is held out, and measured");
     }
 }
 

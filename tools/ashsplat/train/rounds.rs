@@ -5,13 +5,13 @@ use super::checkpoints::{StartFrom, newest_iteration};
 use ashsplat::{Error, Result};
 use ashsplat_program::blocks::job::Job;
 use ashsplat_program::blocks::result;
-use ashsplat_program::blocks::rounds::{Stage, note};
+use ashsplat_program::blocks::rounds::{CurrentRound, note};
 use ashsplat_program::config::Settings;
 use std::path::Path;
 
 /// The start of a round: after an exchange, the exchanged checkpoint until a newer one exists.
-pub fn start(given: Option<&StartFrom>, stage: Option<&Stage>, folder: &Path) -> Option<StartFrom> {
-    let exchanged = stage.and_then(|stage| Some((stage.exchanged(folder)?, stage.from)));
+pub fn start(given: Option<&StartFrom>, round: Option<&CurrentRound>, folder: &Path) -> Option<StartFrom> {
+    let exchanged = round.and_then(|round| Some((round.exchanged(folder)?, round.from)));
     match (given, exchanged) {
         (Some(StartFrom::File(_)), _) | (_, None) => given.cloned(),
         (Some(_), Some((_, from))) if newest_iteration(folder) > Some(from) => given.cloned(),
@@ -19,12 +19,12 @@ pub fn start(given: Option<&StartFrom>, stage: Option<&Stage>, folder: &Path) ->
     }
 }
 
-/// The stage of a job, if there is one. With rounds, refuses a number of iterations that differs from the division's.
-pub fn stage(job: Option<&Job>, settings: &Settings) -> Result<Option<Stage>> {
+/// The current round of a job, if there is one. With rounds, refuses a number of iterations that differs from the division's.
+pub fn current_round(job: Option<&Job>, settings: &Settings) -> Result<Option<CurrentRound>> {
     let Some(job) = job else { return Ok(None) };
-    let stage = Stage::of(job);
+    let round = CurrentRound::of(job);
     let (own, given) = (job.block().iterations, settings.train.iterations);
-    if stage.rounds > 1 && own != given {
+    if round.rounds > 1 && own != given {
         let problem = format!(
             "{given} given, but all blocks end their rounds at a share of the division's ({own} here)"
         );
@@ -32,31 +32,31 @@ pub fn stage(job: Option<&Job>, settings: &Settings) -> Result<Option<Stage>> {
     }
     let train = &settings.train;
     for (name, is_on) in [("pose_opt", train.pose_opt), ("lens_opt", train.lens_opt)] {
-        if stage.rounds > 1 && is_on {
+        if round.rounds > 1 && is_on {
             let problem = "does not go together with rounds: each block would move its cameras by itself";
             return Err(Error::argument(name, problem));
         }
     }
-    Ok(Some(stage))
+    Ok(Some(round))
 }
 
 impl Run {
     /// Notes that a block's training, or its round, has ended.
-    pub(super) fn note_end(&self, job: &Job, stage: &Stage) -> Result<()> {
+    pub(super) fn note_end(&self, job: &Job, round: &CurrentRound) -> Result<()> {
         let data = &self.settings.data;
-        if stage.is_last() {
+        if round.is_last() {
             return result::note(job, &data.model_path, self.settings.train.iterations);
         }
-        note(job, &data.model_path, stage)?;
-        stage.say_done();
+        note(job, &data.model_path, round)?;
+        round.print_done();
         Ok(())
     }
 
     /// Stops training at the end of a round, unless it is the last.
-    pub(super) fn stop_at_end_of(&mut self, stage: &Stage) {
-        self.is_in_rounds = stage.rounds > 1;
-        if !stage.is_last() {
-            self.until = stage.until;
+    pub(super) fn stop_at_end_of(&mut self, round: &CurrentRound) {
+        self.is_in_rounds = round.rounds > 1;
+        if !round.is_last() {
+            self.until = round.until;
         }
     }
 

@@ -41,12 +41,12 @@ enum Kind {
 
 /// Times at which failed saves are tried again.
 #[derive(Default)]
-pub struct Unsaved {
+pub struct SaveRetries {
     scene: Option<Instant>,
     checkpoint: Option<Instant>,
 }
 
-impl Unsaved {
+impl SaveRetries {
     fn when(&mut self, kind: Kind) -> &mut Option<Instant> {
         match kind {
             Kind::Scene => &mut self.scene,
@@ -56,7 +56,7 @@ impl Unsaved {
 
     #[cfg(feature = "view")]
     /// Notes that the scene a page requested could not be saved.
-    pub fn wants_scene(&mut self) {
+    pub fn retry_scene(&mut self) {
         self.scene = Some(Instant::now() + AGAIN);
     }
 
@@ -77,7 +77,7 @@ impl Run {
         let data = &self.settings.data;
         let requested = data.save_iterations.contains(&iteration);
         let tests = last || data.test_iterations.contains(&iteration);
-        let saves = last || stopping || requested || self.unsaved.is_due(Kind::Scene);
+        let saves = last || stopping || requested || self.retries.is_due(Kind::Scene);
         if !saves && !tests {
             return Ok(None);
         }
@@ -101,8 +101,8 @@ impl Run {
     pub(super) fn checkpoint_is_due(&mut self, iteration: u32, stopping: bool) -> bool {
         let last = iteration == self.settings.train.iterations;
         let requested = self.settings.data.checkpoints_at(iteration, self.settings.train.iterations);
-        let late = last && self.unsaved.checkpoint.is_some();
-        stopping || requested || late || self.ends_round(iteration) || self.unsaved.is_due(Kind::Checkpoint)
+        let late = last && self.retries.checkpoint.is_some();
+        stopping || requested || late || self.ends_round(iteration) || self.retries.is_due(Kind::Checkpoint)
     }
 
     /// Writes a checkpoint now, or notes that it must be written later.
@@ -116,7 +116,7 @@ impl Run {
     fn persist(&mut self, kind: Kind, ends: bool, write: impl Fn(&mut Run) -> Result<()>) -> Result<()> {
         match attempt(ends, || write(self), |written| matches!(written, Err(Error::Io { .. }))) {
             Err(error @ Error::Io { .. }) if !ends => {
-                if self.unsaved.when(kind).replace(Instant::now() + AGAIN).is_none() {
+                if self.retries.when(kind).replace(Instant::now() + AGAIN).is_none() {
                     let warning = format!("warning: {error}; training goes on, and it is tried again");
                     self.progress.warn(&warning);
                 }
@@ -124,7 +124,7 @@ impl Run {
             }
             written => {
                 if written.is_ok() {
-                    *self.unsaved.when(kind) = None;
+                    *self.retries.when(kind) = None;
                 }
                 written
             }

@@ -9,7 +9,7 @@ use ashsplat::{Error, Renderer, Result};
 use ashsplat_files::{Gallery, quoted};
 use ashsplat_program::config::Settings;
 use ashsplat_program::eval;
-use ashsplat_program::eval::{Evaluation, More, Perceptual, Pictures, Protocol, SceneSize};
+use ashsplat_program::eval::{Evaluation, ExtraMeasures, LpipsNetworks, Pictures, Protocol, SceneSize};
 use ashsplat_program::model::point_cloud_path;
 use ashsplat_program::progress::thousands;
 use std::path::PathBuf;
@@ -70,7 +70,7 @@ impl Run {
         if iteration < self.settings.train.iterations || self.lpips.is_empty() {
             return self.evaluate_with(iteration, None);
         }
-        let lpips = Perceptual::new(self.trainer.context(), &self.lpips);
+        let lpips = LpipsNetworks::new(self.trainer.context(), &self.lpips);
         let measured = lpips.and_then(|mut lpips| self.evaluate_with(iteration, lpips.as_mut()));
         match measured {
             // Training holds the memory. Its results must not be lost.
@@ -92,7 +92,7 @@ impl Run {
     fn evaluate_with(
         &mut self,
         iteration: u32,
-        lpips: Option<&mut Perceptual>,
+        lpips: Option<&mut LpipsNetworks>,
     ) -> Result<(Evaluation, Result<()>)> {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
         let mut pictures = self.views.held_out.then(|| Pictures::new(folder));
@@ -100,7 +100,7 @@ impl Run {
         self.follow_cameras()?;
         let protocol = self.protocol()?;
         let trainer = &mut self.trainer;
-        let more = More {
+        let more = ExtraMeasures {
             pictures: pictures.as_mut(),
             lpips,
             frame_times: iteration == self.settings.train.iterations,
@@ -124,7 +124,7 @@ impl Run {
                 view.camera = trainer.draw(align)?;
             }
             let draw = |camera: &Camera| trainer.render(camera, &settings);
-            let aligned = eval::evaluate(aligned.iter().map(Ok), &protocol, More::default(), draw)?;
+            let aligned = eval::evaluate(aligned.iter().map(Ok), &protocol, ExtraMeasures::default(), draw)?;
             evaluation.aligned = Some(Box::new(aligned));
         }
         Ok((evaluation, pictures.map_or(Ok(()), Pictures::saved)))

@@ -17,7 +17,7 @@ pub(super) const SHARE: f64 = 0.02;
 const VIEWS: usize = 8;
 /// Approximate number of points of a run's curve, and the largest interval between two.
 const POINTS: u32 = 200;
-const MOST_INTERVAL: u32 = 100;
+const MAX_INTERVAL: u32 = 100;
 /// Largest number of iterations without a measurement after the set of Gaussians changed. After many clones or splits,
 /// the PSNR is some decibels lower for a while, and would be shown until the next point.
 const SETTLING: u32 = 50;
@@ -28,9 +28,9 @@ pub(super) fn share(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "expected 0 or a number from 0.001 to 0.9".into())
 }
 
-/// At most `most` elements, evenly spread, with the first and the last.
-pub(super) fn spread<T: Clone>(all: &[T], most: usize) -> Vec<T> {
-    let count = all.len().min(most);
+/// At most `max` elements, evenly spread, with the first and the last.
+pub(super) fn spread<T: Clone>(all: &[T], max: usize) -> Vec<T> {
+    let count = all.len().min(max);
     (0..count).map(|i| all[i * (all.len() - 1) / (count - 1).max(1)].clone()).collect()
 }
 
@@ -57,7 +57,7 @@ impl Tracking {
     /// Tracking of a run with these settings, within a share of its time; 0 measures nothing.
     pub(super) fn new(test: &[View], settings: &TrainSettings, share: f64) -> Tracking {
         // A run without an end needs a measurement soon.
-        let interval = (settings.iterations / POINTS).clamp(1, MOST_INTERVAL);
+        let interval = (settings.iterations / POINTS).clamp(1, MAX_INTERVAL);
         Tracking {
             views: spread(test, VIEWS),
             of: test.len(),
@@ -155,7 +155,7 @@ impl Run {
         let tested = self.evaluations.last().filter(|tested| tested.iteration == iteration);
         let psnr = match tested {
             Some(tested) => self.tracking.among(&tested.evaluation),
-            None if due && (self.views.held_out || self.is_looked_at()) => {
+            None if due && (self.views.held_out || self.has_viewers()) => {
                 watch.paused(|| self.measure_now(iteration))
             }
             None => None,

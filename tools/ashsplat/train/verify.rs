@@ -1,8 +1,8 @@
 //! `ashsplat train --verify-determinism N`.
 
-use super::checkpoints::Start;
-use super::origin::Origin;
+use super::checkpoints::ResumePoint;
 use super::prepared;
+use super::training_start::RunStart;
 use ashsplat::train::verify::{Verdict, verify_determinism};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -14,15 +14,15 @@ use ashsplat_program::config::Settings;
 pub fn run(
     context: &Context,
     dataset: Dataset,
-    (settings, origin): (&Settings, &Origin),
+    (settings, initial): (&Settings, &RunStart),
     iterations: u32,
     quiet: bool,
 ) -> Result<()> {
-    let start = origin.start();
-    let first = origin.first(&dataset, settings)?;
+    let start = initial.start();
+    let first = initial.initial_gaussians(&dataset, settings)?;
     let (data, _) = prepared::split(dataset, settings);
-    let new = |context: &Context| origin.trainer(context, data.clone(), first.clone(), &settings.train);
-    let left = settings.train.iterations.saturating_sub(start.map_or(0, Start::iteration));
+    let new = |context: &Context| initial.trainer(context, data.clone(), first.clone(), &settings.train);
+    let left = settings.train.iterations.saturating_sub(start.map_or(0, ResumePoint::iteration));
     if left == 0 {
         return Err(Error::argument("checkpoint", "is of the last iteration: there is none left to verify"));
     }
@@ -31,13 +31,13 @@ pub fn run(
     let report = |run: u32, iteration: u32, hash: u64| {
         last = hash;
         if !quiet {
-            tell!("run {} iteration {iteration}: {hash:016x}", run + 1);
+            errln!("run {} iteration {iteration}: {hash:016x}", run + 1);
         }
     };
     match verify_determinism(|| Ok(context.clone()), new, iterations, report)? {
         Verdict::Same => {
             let device = context.device_name();
-            say!(
+            outln!(
                 "{iterations} iterations twice on {device}: the same bits after each; hash of the last {last:016x}"
             );
             Ok(())

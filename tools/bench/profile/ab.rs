@@ -2,8 +2,8 @@
 
 use super::Arguments;
 use super::{largest_difference, open, silent_profile, spec};
-use crate::compare::{self, Line};
-use crate::frames::{Plan, Subject};
+use crate::compare::{self, Row};
+use crate::frames::{Plan, PlannedWork};
 use crate::measure::Measured;
 use crate::traffic::Traffic;
 use ashsplat::Result;
@@ -18,27 +18,27 @@ pub fn run(arguments: &Arguments, settings: &[String], plan: &Plan) -> Result<()
     };
     let (with_a, with_b) = (with(a)?, with(b)?);
     let contexts = [open(arguments, &with_a)?, open(arguments, &with_b)?];
-    let mut subjects = [Subject::new(&contexts[0], plan)?, Subject::new(&contexts[1], plan)?];
+    let mut planned = [PlannedWork::new(&contexts[0], plan)?, PlannedWork::new(&contexts[1], plan)?];
     let profiles = contexts.each_ref().map(silent_profile);
-    for subject in &mut subjects {
-        subject.warm_up(arguments.warmup())?;
+    for planned in &mut planned {
+        planned.warm_up(arguments.warmup())?;
     }
     let mut iterations = [Vec::new(), Vec::new()];
     for _ in 0..arguments.frames() {
         for index in [0, 1] {
-            iterations[index].push(subjects[index].timed(&profiles[index])?);
+            iterations[index].push(planned[index].timed(&profiles[index])?);
         }
     }
-    let [first, second] = &mut subjects;
+    let [first, second] = &mut planned;
     let difference = largest_difference(&first.picture()?, &second.picture()?);
     let measured = iterations.map(|iterations| Measured { iterations, ..Measured::default() });
     let mut kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
     kernels.iter_mut().try_for_each(|kernels| super::only(arguments.kernel.as_deref(), kernels))?;
     let name = arguments.what().name();
     let [wall_a, wall_b] = [0, 1].map(|i: usize| measured[i].wall_ms().times(1e3));
-    let mut lines = vec![Line::whole(name, "wall", wall_a, wall_b)];
+    let mut lines = vec![Row::whole(name, "wall", wall_a, wall_b)];
     if let [Some(a), Some(b)] = [0, 1].map(|i: usize| measured[i].device_ms()) {
-        lines.push(Line::whole(name, "device", a.times(1e3), b.times(1e3)));
+        lines.push(Row::whole(name, "device", a.times(1e3), b.times(1e3)));
     }
     lines.extend(compare::kernels(name, &kernels[0], &kernels[1]));
     let both = if arguments.spec.is_empty() {
@@ -46,14 +46,14 @@ pub fn run(arguments: &Arguments, settings: &[String], plan: &Plan) -> Result<()
     } else {
         format!("   both: {}", arguments.spec.join(", "))
     };
-    say!("A: {a}   B: {b}{both}   {} iterations each, in turn", arguments.frames());
-    say!("{}", compare::table(&lines).trim_end());
+    outln!("A: {a}   B: {b}{both}   {} iterations each, in turn", arguments.frames());
+    outln!("{}", compare::table(&lines).trim_end());
     for (name, one, other) in [("A", 0, 1), ("B", 1, 0)] {
         for (kernel, time) in compare::alone(&kernels[one], &kernels[other]) {
-            say!("only in {name}: {:.1} µs, {} in '{}'", time.median, kernel.kernel, kernel.scope);
+            outln!("only in {name}: {:.1} µs, {} in '{}'", time.median, kernel.kernel, kernel.scope);
         }
     }
-    say!("largest difference of the pictures: {difference}");
+    outln!("largest difference of the pictures: {difference}");
     for context in &contexts {
         super::print_messages(context);
         arguments.device.report_validation(context);

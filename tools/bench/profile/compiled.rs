@@ -1,7 +1,7 @@
 //! `--static`: statistics of the driver's compiler about the pipelines of frames and training steps. Nothing runs, so
 //! it works for drivers without hardware too.
 
-use super::{Arguments, What, spec, watch};
+use super::{Arguments, IterationKind, spec, watch};
 use crate::compiled::{Compiled, Pipeline};
 use crate::{compiled, machine, synthetic};
 use ashsplat::train::{MomentsType, OptimizerType, StrategyType};
@@ -67,7 +67,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(folder) = &requested.asm {
         output::check_folder(folder)?;
     }
-    let what = arguments.what.map_or("all", What::name);
+    let what = arguments.what.map_or("all", IterationKind::name);
     let others = others(arguments, what)?;
     let overrides = arguments.overrides()?;
     let context = arguments.device.context_with(|options| {
@@ -79,10 +79,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let sh_degree = arguments.scene.synthetic.sh_degree();
     let forms = arguments.form.get().map_or(Blending::ALL.to_vec(), |form| vec![form]);
-    if arguments.what != Some(What::TrainStep) {
+    if arguments.what != Some(IterationKind::TrainStep) {
         forms.iter().try_for_each(|&form| frames(&context, sh_degree, form))?;
     }
-    if arguments.what != Some(What::Render) {
+    if arguments.what != Some(IterationKind::Render) {
         forms.iter().try_for_each(|&form| trainings(&context, sh_degree, form))?;
     }
     let mut statistics = context.pipeline_statistics()?;
@@ -102,17 +102,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     if others.is_empty() {
         let device = &compiled.device;
-        say!(
+        outln!(
             "{}, {}: {} pipelines, none of which has run",
             device.name,
             device.driver,
             compiled.pipelines.len()
         );
-        say!("{}", compiled::table(&compiled, arguments.kernel.is_some()));
+        outln!("{}", compiled::table(&compiled, arguments.kernel.is_some()));
     } else {
         let mut all = vec![compiled];
         all.extend(others);
-        say!("{}", compiled::beside(&all));
+        outln!("{}", compiled::beside(&all));
     }
     Ok(())
 }
@@ -123,7 +123,7 @@ fn others(arguments: &Arguments, what: &str) -> Result<Vec<Compiled>> {
     for path in &arguments.compiled.beside {
         let mut other = compiled::read(path)?;
         if other.what != what {
-            tell!(
+            errln!(
                 "warning: {}: has the pipelines of '{}', this run those of '{what}': kernels and their variants differ as well",
                 path.display(),
                 other.what

@@ -73,7 +73,7 @@ fn parse(option: &str, text: &str) -> Result<SpecOverride> {
     if ["WORKGROUP_SIZE", "SUBGROUP_SIZE"].contains(&name) && !bits.is_power_of_two() {
         return Err(argument(format!("{value} is no power of two")));
     }
-    let (least, most) = match name {
+    let (min, max) = match name {
         "WORKGROUP_SIZE" => (1, 1024),
         "SUBGROUP_SIZE" => (4, 128),
         // Loops of these lengths are unrolled.
@@ -81,8 +81,8 @@ fn parse(option: &str, text: &str) -> Result<SpecOverride> {
         "ITEMS" => (1, 1 << 14),
         _ => (0, u32::MAX),
     };
-    if constant.kind == ConstantKind::Uint && !(least..=most).contains(&bits) {
-        return Err(argument(format!("{value} is not within {least} to {most}")));
+    if constant.kind == ConstantKind::Uint && !(min..=max).contains(&bits) {
+        return Err(argument(format!("{value} is not within {min} to {max}")));
     }
     Ok(SpecOverride { kernel: kernel.to_owned(), constant: name.to_owned(), bits })
 }

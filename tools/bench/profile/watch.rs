@@ -30,8 +30,8 @@ pub use missing::{run, take_over};
 #[cfg(feature = "hot-reload")]
 mod reloading {
     use super::super::{Arguments, largest_difference, print_messages, silent_profile, spec};
-    use crate::compare::{self, Line};
-    use crate::frames::{Plan, Subject};
+    use crate::compare::{self, Row};
+    use crate::frames::{Plan, PlannedWork};
     use crate::kernels;
     use crate::measure::Measured;
     use crate::schema::KernelResult;
@@ -61,7 +61,7 @@ mod reloading {
         for own in kernels::all() {
             let spirv = reload::compile(glsl, own.name, context.limits())?;
             if own.spirv_for(context.limits()) != spirv {
-                tell!("{}: taken from {}", own.name, glsl.display());
+                errln!("{}: taken from {}", own.name, glsl.display());
                 context.replace_shader(own.name, Some(spirv));
             }
         }
@@ -109,11 +109,11 @@ mod reloading {
     }
 
     fn measure(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<State> {
-        let mut subject = Subject::new(context, plan)?;
+        let mut planned = PlannedWork::new(context, plan)?;
         let profile = silent_profile(context);
-        subject.warm_up(arguments.warmup.unwrap_or(WARMUP))?;
-        let picture = subject.picture()?;
-        let timed = (0..arguments.frames.unwrap_or(FRAMES)).map(|_| subject.timed(&profile));
+        planned.warm_up(arguments.warmup.unwrap_or(WARMUP))?;
+        let picture = planned.picture()?;
+        let timed = (0..arguments.frames.unwrap_or(FRAMES)).map(|_| planned.timed(&profile));
         let measured = Measured { iterations: timed.collect::<Result<_>>()?, ..Measured::default() };
         Ok(State { kernels: measured.kernels(&Traffic::bound(), None), measured, picture })
     }
@@ -133,7 +133,7 @@ mod reloading {
         print_messages(context);
         arguments.device.report_validation(context);
         let wall = state.measured.wall_ms().median;
-        say!(
+        outln!(
             "watching {}: {} takes {wall:.2} ms; Ctrl-C ends",
             watched.glsl.display(),
             arguments.what().name()
@@ -152,13 +152,13 @@ mod reloading {
             changed.extend(newer);
             let seen = Instant::now();
             match recompile(context, &watched.glsl, &changed) {
-                Err(error) => say!("{error}\nthe old kernels stay"),
+                Err(error) => outln!("{error}\nthe old kernels stay"),
                 Ok(()) => {
                     let new = measure(arguments, context, plan)?;
                     report(arguments, &changed, &state, &new);
                     print_messages(context);
                     arguments.device.report_validation(context);
-                    say!("shown {:.2} s after the edit was seen", seen.elapsed().as_secs_f64());
+                    outln!("shown {:.2} s after the edit was seen", seen.elapsed().as_secs_f64());
                     state = new;
                     changed.clear();
                 }
@@ -192,7 +192,7 @@ mod reloading {
     }
 
     fn report(arguments: &Arguments, changed: &[&str], old: &State, new: &State) {
-        let mut lines = vec![Line::whole(
+        let mut lines = vec![Row::whole(
             arguments.what().name(),
             "wall",
             old.measured.wall_ms().times(1e3),
@@ -200,9 +200,9 @@ mod reloading {
         )];
         let all = compare::kernels(arguments.what().name(), &old.kernels, &new.kernels);
         lines.extend(all.into_iter().filter(|line| changed.contains(&line.kernel.as_str())));
-        say!("\nchanged: {}", changed.join(", "));
-        say!("{}", compare::table(&lines).trim_end());
+        outln!("\nchanged: {}", changed.join(", "));
+        outln!("{}", compare::table(&lines).trim_end());
         let difference = largest_difference(&old.picture, &new.picture);
-        say!("largest difference of the pictures: {difference}");
+        outln!("largest difference of the pictures: {difference}");
     }
 }

@@ -13,7 +13,7 @@ use ashsplat_files::splats::{self, Format, ReadOptions, WriteOptions};
 use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language};
 use glam::{DQuat, DVec3, Mat3, Vec3};
-use hosts::{MESSAGES, argument, compile, folder, host_in_c, host_said, host_with, library, run};
+use hosts::{MESSAGES, argument, compile, folder, host_in_c, host_output, host_with, library, run};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -205,7 +205,7 @@ fn the_guides_guest_in_c_draws() {
     assert!(said.contains("of 500 Gaussians visible"), "{said}");
     // Validation reports a mistake of the engine.
     let is_required = std::env::var_os("ASHSPLAT_REQUIRE_VALIDATION").is_some();
-    let said = host_said("guide", &guest, &[&scene, Path::new("wrong")]);
+    let said = host_output("guide", &guest, &[&scene, Path::new("wrong")]);
     assert!(said.contains(MESSAGES[0]) || !is_required, "no validation layer: {said}");
 }
 
@@ -215,7 +215,7 @@ fn a_host_in_c_streams_tiles() {
     let (folder, scene) = scene_file();
     let tiles = folder.path().join("tiles");
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
-    let options = TileOptions { most: 20, packed: false };
+    let options = TileOptions { max_gaussians: 20, packed: false };
     tiles::write(&scene, &tiles, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
         .expect("tiles");
     let said = host_in_c("scenes", "tiles", &[&tiles]);

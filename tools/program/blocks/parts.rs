@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Least opacity of a pixel that can be excluded; fainter ones may show anything.
-const LEAST_OPACITY: f32 = 0.5;
+const MIN_OPACITY: f32 = 0.5;
 
 /// The part of a photo that shows a block, independent of the photo's size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -43,18 +43,18 @@ impl Part {
 }
 
 /// Content of a small picture's pixels.
-pub struct Shown {
+pub struct BlockPixels {
     size: [usize; 2],
     /// True for pixels that show the block with its margin; `None` for transparent pixels.
     inside: Vec<Option<bool>>,
 }
 
-impl Shown {
+impl BlockPixels {
     pub fn of(camera: &Camera, frame: &Frame, (core, margin): (Bounds, f32)) -> Self {
         let inside = |place: glam::Vec3| SceneBlock::contains(core, margin, place.to_array());
         let pixels = places(camera, frame).into_iter().zip(&frame.transmittance);
         let inside = pixels
-            .map(|(place, transmittance)| place.filter(|_| 1.0 - transmittance >= LEAST_OPACITY).map(inside));
+            .map(|(place, transmittance)| place.filter(|_| 1.0 - transmittance >= MIN_OPACITY).map(inside));
         Self { size: [frame.width, frame.height].map(|side| side as usize), inside: inside.collect() }
     }
 
@@ -134,7 +134,7 @@ mod tests {
         let frame = Frame { width: 40, height: 20, color, transmittance, inverse_depth, ..Frame::default() };
         let everything = Vec3::splat(f32::INFINITY);
         let core = Bounds { min: -everything, max: everything.with_x(0.0) };
-        let shown = |margin: f32| Shown::of(&camera, &frame, (core, margin));
+        let shown = |margin: f32| BlockPixels::of(&camera, &frame, (core, margin));
         let counts = shown(0.0).counting();
         for (pixel, counts) in counts.iter().enumerate() {
             assert_eq!(*counts, !(21..34).contains(&(pixel % 40)), "{pixel}");
@@ -145,6 +145,6 @@ mod tests {
         let part = |columns: [u32; 2]| Some(Part { of: [40, 20], columns, rows: [0, 20] });
         assert_eq!((shown(0.0).part(), shown(0.1).part()), (part([0, 21]), part([0, 23])));
         let nothing = Bounds { min: Vec3::splat(9.0), max: everything };
-        assert_eq!(Shown::of(&camera, &frame, (nothing, 0.0)).part(), None);
+        assert_eq!(BlockPixels::of(&camera, &frame, (nothing, 0.0)).part(), None);
     }
 }

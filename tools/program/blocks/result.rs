@@ -16,7 +16,7 @@ pub const RESULT_FILE: &str = "block.json";
 /// A trained block.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Trained {
+struct BlockNote {
     /// Hash of the division's file.
     blocks: String,
     /// The block's number.
@@ -29,7 +29,7 @@ struct Trained {
 /// Notes that a job's training is complete.
 pub fn note(job: &Job, folder: &Path, iteration: u32) -> Result<()> {
     let hash = file_hash(model::point_cloud_path(folder, iteration))?;
-    let trained = Trained { blocks: job.file.hash.clone(), block: job.block().number, iteration, hash };
+    let trained = BlockNote { blocks: job.file.hash.clone(), block: job.block().number, iteration, hash };
     output::write_json(&folder.join(RESULT_FILE), &trained)
 }
 
@@ -51,7 +51,7 @@ pub fn noted(file: &BlocksFile, block: &Block) -> Option<bool> {
 }
 
 /// Returns `None` if there is no note.
-fn read(folder: &Path) -> Result<Option<Trained>> {
+fn read(folder: &Path) -> Result<Option<BlockNote>> {
     let path = folder.join(RESULT_FILE);
     let Some(text) = output::read_note(&path) else { return Ok(None) };
     let damaged = |e: serde_json::Error| Error::input(&path, e.to_string(), "train the block again");
@@ -59,13 +59,13 @@ fn read(folder: &Path) -> Result<Option<Trained>> {
 }
 
 /// Blocks that cannot be used, by their numbers, for each reason.
-pub type Unfit = BTreeMap<&'static str, Vec<String>>;
+pub type UnusableBlocks = BTreeMap<&'static str, Vec<String>>;
 
 impl BlocksFile {
     /// Refuses a division with unsuitable blocks, and names them by reason. `before` is the beginning of the error.
-    pub fn check_none_unfit(&self, before: &str, unfit: &Unfit) -> Result<()> {
-        let Some(first) = unfit.values().next().map(|numbers| &numbers[0]) else { return Ok(()) };
-        let reported = unfit.iter().map(|(why, numbers)| format!("{} {why}", numbers.join(", ")));
+    pub fn check_all_usable(&self, before: &str, unusable: &UnusableBlocks) -> Result<()> {
+        let Some(first) = unusable.values().next().map(|numbers| &numbers[0]) else { return Ok(()) };
+        let reported = unusable.iter().map(|(why, numbers)| format!("{} {why}", numbers.join(", ")));
         let reported = reported.collect::<Vec<_>>().join("; ");
         let problem = format!("{before}of its {} blocks {reported}", self.division.blocks.len());
         let remedy = format!("train them: `ashsplat train --job {}:{first}`", self.path.display());

@@ -18,7 +18,7 @@ const STEP: u32 = 20;
 /// End of a block's round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Ended {
+pub struct RoundNote {
     /// Hash of the division's file.
     pub blocks: String,
     /// The block's number.
@@ -32,7 +32,7 @@ pub struct Ended {
 /// A complete exchange.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Exchanged {
+struct ExchangeNote {
     /// Hash of the division's file.
     blocks: String,
     /// The round before the exchange.
@@ -86,28 +86,28 @@ impl BlocksFile {
 
     fn is_exchanged(&self, round: u32) -> bool {
         let note = output::read_note(&self.exchange_note(round));
-        let note: Option<Exchanged> = note.and_then(|text| serde_json::from_str(&text).ok());
-        note == Some(Exchanged { blocks: self.hash.clone(), round })
+        let note: Option<ExchangeNote> = note.and_then(|text| serde_json::from_str(&text).ok());
+        note == Some(ExchangeNote { blocks: self.hash.clone(), round })
     }
 
     /// Notes that an exchange is complete.
     pub fn note_exchange(&self, round: u32) -> Result<()> {
-        output::write_json(&self.exchange_note(round), &Exchanged { blocks: self.hash.clone(), round })
+        output::write_json(&self.exchange_note(round), &ExchangeNote { blocks: self.hash.clone(), round })
     }
 
     /// The last round that a block has ended in this division.
-    pub fn ended_own(&self, block: &Block) -> Option<Ended> {
+    pub fn ended_own(&self, block: &Block) -> Option<RoundNote> {
         self.ended(block).filter(|ended| ended.blocks == self.hash && ended.block == block.number)
     }
 
     /// The last round that a block has ended in any division.
-    pub fn ended(&self, block: &Block) -> Option<Ended> {
+    pub fn ended(&self, block: &Block) -> Option<RoundNote> {
         serde_json::from_str(&output::read_note(&self.at(&block.folder).join(ROUND_FILE))?).ok()
     }
 }
 
-/// Current stage of a block's training.
-pub struct Stage {
+/// Current round of a block's training.
+pub struct CurrentRound {
     /// Number of the round, from 1.
     pub round: u32,
     pub rounds: u32,
@@ -123,16 +123,16 @@ pub struct Stage {
     pub is_done: bool,
 }
 
-impl Stage {
+impl CurrentRound {
     /// The round after all complete exchanges.
-    pub fn of(job: &Job) -> Stage {
+    pub fn of(job: &Job) -> CurrentRound {
         let (file, block) = (&job.file, job.block());
         let division = &file.division;
         let before = file.exchanges();
         let round = before + 1;
         let end = |round: u32| if round > 0 { division.round_end(block, round) } else { 0 };
         let ended = file.ended_own(block);
-        Stage {
+        CurrentRound {
             round,
             rounds: division.rounds,
             file: file.path.clone(),
@@ -154,10 +154,10 @@ impl Stage {
     }
 
     /// Reports that the round has ended, and the next command.
-    pub fn say_done(&self) {
-        let Stage { round, rounds, .. } = self;
+    pub fn print_done(&self) {
+        let CurrentRound { round, rounds, .. } = self;
         let file = self.file.display();
-        say!("round {round} of {rounds} is done; when it is for all blocks: ashsplat exchange {file}");
+        outln!("round {round} of {rounds} is done; when it is for all blocks: ashsplat exchange {file}");
     }
 
     /// The checkpoint that an exchange has left in a model folder; `None` in the first round.
@@ -167,9 +167,9 @@ impl Stage {
 }
 
 /// Notes that a job's training has ended a round.
-pub fn note(job: &Job, folder: &Path, stage: &Stage) -> Result<()> {
+pub fn note(job: &Job, folder: &Path, current: &CurrentRound) -> Result<()> {
     let (blocks, block) = (job.file.hash.clone(), job.block().number);
-    let ended = Ended { blocks, block, round: stage.round, iteration: stage.until };
+    let ended = RoundNote { blocks, block, round: current.round, iteration: current.until };
     output::write_json(&folder.join(ROUND_FILE), &ended)
 }
 

@@ -1,6 +1,6 @@
 //! Settings of a block that is trained in place of the whole scene.
 
-use super::{DataSettings, Outside, When};
+use super::{AutoSwitch, DataSettings, Outside};
 use ashsplat::scene::{Bounds, WorldFrame};
 use ashsplat::train::SceneBlock;
 use ashsplat::{Error, Result};
@@ -56,7 +56,7 @@ impl DataSettings {
     /// # Errors
     /// [`Error::Argument`] if that was requested without a block, or without such a scene.
     pub fn block_of_parts(&self, frame: &WorldFrame) -> Result<Option<(Bounds, f32)>> {
-        if self.photo_parts != When::On || self.uses_parts_of_job() {
+        if self.photo_parts != AutoSwitch::On || self.uses_parts_of_job() {
             return Ok(None);
         }
         let problem = match self.block(frame)? {
@@ -71,7 +71,7 @@ impl DataSettings {
 
     /// True if the division's file names the used parts of photos.
     pub fn uses_parts_of_job(&self) -> bool {
-        self.photo_parts != When::Off && !self.job.is_empty()
+        self.photo_parts != AutoSwitch::Off && !self.job.is_empty()
     }
 
     /// True if the depths of the initial scene determine what photos show of a block.

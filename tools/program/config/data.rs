@@ -60,7 +60,7 @@ pub struct DataSettings {
     /// longer share. auto applies them fully to at most 12 photos, partly up to 32, and never with the reference's strategy;
     /// on applies them fully. Options that set these values take precedence [default: auto]
     #[arg(long, value_name = "WHEN")]
-    pub few_photos: When,
+    pub few_photos: AutoSwitch,
     /// Start from 100,000 random points where the data set has none, instead of refusing it; with --photo-points only
     /// if the photos show too few
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
@@ -68,7 +68,7 @@ pub struct DataSettings {
     /// Where the data set has no points, look for up to 20,000 at which the photos agree: on, off, or on with --strategy
     /// budget and mcmc (auto) [default: auto]
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "on", value_name = "WHEN")]
-    pub photo_points: When,
+    pub photo_points: AutoSwitch,
     /// Train this block of a file that `ashsplat partition` wrote. The file determines data set, photos, start, block,
     /// margin, scene extent, iterations and model folder; -s and --init give the paths of data set and coarse model if they
     /// differ on this machine
@@ -102,7 +102,7 @@ pub struct DataSettings {
     /// auto and on take the parts from its file. Without it, auto uses whole photos, and on finds parts by the depths of the scene that
     /// training begins with (--init); continue such a training on the same device, for another one may see other parts [default: auto]
     #[arg(long, help_heading = "Blocks")]
-    pub photo_parts: When,
+    pub photo_parts: AutoSwitch,
     /// Scene extent, which scales the means' learning rate and the thresholds of densification, in the data set's units: for
     /// a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
     #[arg(long, value_name = "X", help_heading = "Blocks", allow_hyphen_values = true)]
@@ -153,15 +153,15 @@ impl Default for DataSettings {
             eval: false,
             eval_split: Split::Inner,
             train_test_exp: false,
-            few_photos: When::Auto,
+            few_photos: AutoSwitch::Auto,
             random_points: false,
-            photo_points: When::Auto,
+            photo_points: AutoSwitch::Auto,
             job: String::new(),
             init: PathBuf::new(),
             block: Vec::new(),
             margin: 0.0,
             outside: Outside::Drawn,
-            photo_parts: When::Auto,
+            photo_parts: AutoSwitch::Auto,
             scene_extent: 0.0,
             test_iterations: vec![7000, 30_000],
             lpips_weights: Vec::new(),
@@ -221,7 +221,7 @@ impl Outside {
 /// A switch; auto is on where it is known to help.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub enum When {
+pub enum AutoSwitch {
     #[default]
     Auto,
     #[value(alias = "true")]

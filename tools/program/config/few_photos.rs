@@ -1,16 +1,16 @@
 //! Settings that depend on the data set and the start: those for few photos, and exposures.
 
-use super::{Given, Settings, When};
+use super::{AutoSwitch, Settings, SettingsSources};
 use ashsplat::train::{Checkpoint, Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 
 /// Spread of exposures from which presets learn them, stops (tools/strategies.md).
-const LEAST_SPREAD: f64 = 0.12;
+const MIN_SPREAD: f64 = 0.12;
 
-/// Facts about data set and start that determine the defaults of settings.
+/// Properties of data set and start that determine the defaults of settings.
 #[derive(Clone, Copy, Default)]
-pub struct Facts<'a> {
+pub struct DefaultsInput<'a> {
     /// Number of photos to which the settings are adapted, if any.
     photos: Option<usize>,
     /// Settings of the checkpoint from which a training continues.
@@ -19,10 +19,10 @@ pub struct Facts<'a> {
     pub(super) sh_degree: u32,
 }
 
-impl<'a> Facts<'a> {
-    /// Returns the facts before the data set is read.
+impl<'a> DefaultsInput<'a> {
+    /// The properties before the data set is read.
     pub fn of_start(start: Option<&'a Checkpoint>) -> Self {
-        Facts { continued: start.map(|start| &start.settings), ..Facts::default() }
+        DefaultsInput { continued: start.map(|start| &start.settings), ..DefaultsInput::default() }
     }
 
     /// The settings that apply where none are given.
@@ -42,7 +42,7 @@ impl<'a> Facts<'a> {
     }
 }
 
-impl Given {
+impl SettingsSources {
     /// Settles the settings for a data set and a start, and reads the points whose depths are trained on. Returns a note on
     /// defaults, unless they come from the checkpoint.
     pub fn settle_for(
@@ -52,7 +52,7 @@ impl Given {
         sh_degree: u32,
     ) -> Result<(Settings, Option<String>)> {
         let continued = start.map(|start| &start.settings);
-        let usual = self.settle(&Facts { photos: None, continued, sh_degree })?;
+        let usual = self.settle(&DefaultsInput { photos: None, continued, sh_degree })?;
         if usual.train.depth_points > 0.0 && gallery.read_tracks()? == 0 {
             let problem = "does not say which photos show which points, whose depths --depth-points needs";
             let remedy = "give a COLMAP model with its observations, or leave --depth-points out";
@@ -63,17 +63,17 @@ impl Given {
         }
         let photos = gallery.train_photos().len();
         let adapted = match usual.data.few_photos {
-            When::Auto => Some(photos).filter(|_| usual.train.strategy == StrategyType::Budget),
-            When::On => Some(TrainSettings::FEW_PHOTOS),
-            When::Off => None,
+            AutoSwitch::Auto => Some(photos).filter(|_| usual.train.strategy == StrategyType::Budget),
+            AutoSwitch::On => Some(TrainSettings::FEW_PHOTOS),
+            AutoSwitch::Off => None,
         };
-        let mut settled = self.settle(&Facts { photos: adapted, continued, sh_degree })?;
+        let mut settled = self.settle(&DefaultsInput { photos: adapted, continued, sh_degree })?;
         let without = match settled.train.strategy {
             StrategyType::Fixed => Some("fixed"),
             StrategyType::Mcmc => Some("mcmc"),
             StrategyType::Reference | StrategyType::Budget => None,
         };
-        if let Some(strategy) = without.filter(|_| usual.data.few_photos == When::On) {
+        if let Some(strategy) = without.filter(|_| usual.data.few_photos == AutoSwitch::On) {
             let problem = format!("on has no settings for --strategy {strategy}; leave one of both out");
             return Err(Error::argument("--few-photos", problem));
         }
@@ -102,7 +102,7 @@ impl Given {
             return None;
         }
         // An unreadable photo is ignored here, because reading all photos reports it.
-        let stops = gallery.exposure_spread().ok().flatten().filter(|&stops| stops >= LEAST_SPREAD)?;
+        let stops = gallery.exposure_spread().ok().flatten().filter(|&stops| stops >= MIN_SPREAD)?;
         settings.train.exposure = true;
         Some(format!(
             "photos differ in exposure from their neighbours by {stops:.2} stops (RMS): --exposure (--exposure=false: as if they did not)"

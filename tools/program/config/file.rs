@@ -1,21 +1,21 @@
 //! Settings files: settings.toml and the reference's `cfg_args`.
 
-use super::{Facts, SETTINGS_FILE, Settings};
+use super::{DefaultsInput, SETTINGS_FILE, Settings};
 use ashsplat::{Error, Result};
 use ashsplat_files::regular_file;
 use std::path::Path;
 use toml::Table;
 
 /// Largest settings file. A longer file is something else, and may exceed the memory.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 
 /// Reads the text of a settings file.
 pub fn text(path: &Path) -> Result<String> {
     let refuse = |problem: String| {
         Error::input(path, problem, "give one that `ashsplat train` wrote, such as settings.toml")
     };
-    let bytes = regular_file::read_at_most(path, MOST_BYTES)?
-        .ok_or_else(|| refuse(format!("is longer than {MOST_BYTES} bytes: no file of settings")))?;
+    let bytes = regular_file::read_at_most(path, MAX_BYTES)?
+        .ok_or_else(|| refuse(format!("is longer than {MAX_BYTES} bytes: no file of settings")))?;
     ashsplat_files::text::from_bytes(path, bytes)
 }
 
@@ -44,7 +44,7 @@ pub fn table(path: &Path) -> Result<Table> {
         let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
         Error::input(path, format!("line {line}: {}", e.message()), remedy)
     })?;
-    Settings::from_table(table.clone(), &Facts::default())
+    Settings::from_table(table.clone(), &DefaultsInput::default())
         .map_err(|problem| Error::input(path, problem, remedy))?;
     Ok(table)
 }
@@ -68,7 +68,7 @@ mod tests {
     fn a_file_of_any_length_is_refused_after_a_mebibyte() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("settings.toml");
-        let fits = format!("#{}\n", " ".repeat(MOST_BYTES as usize - 2));
+        let fits = format!("#{}\n", " ".repeat(MAX_BYTES as usize - 2));
         std::fs::write(&path, &fits).expect("written");
         assert!(table(&path).expect("settings").is_empty());
         File::options().write(true).open(&path).and_then(|file| file.set_len(1 << 31)).expect("longer");

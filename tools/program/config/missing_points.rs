@@ -1,6 +1,6 @@
 //! Initial points for data sets without points.
 
-use super::{Settings, When};
+use super::{AutoSwitch, Settings};
 use crate::progress::thousands;
 use crate::session;
 use ashsplat::train::StrategyType;
@@ -15,9 +15,9 @@ impl Settings {
     /// reference implementation, and fixed does not, since it cannot grow from few points.
     fn looks_for_points(&self) -> bool {
         match self.data.photo_points {
-            When::Auto => matches!(self.train.strategy, StrategyType::Budget | StrategyType::Mcmc),
-            When::On => true,
-            When::Off => false,
+            AutoSwitch::Auto => matches!(self.train.strategy, StrategyType::Budget | StrategyType::Mcmc),
+            AutoSwitch::On => true,
+            AutoSwitch::Off => false,
         }
     }
 
@@ -28,7 +28,7 @@ impl Settings {
 
     /// Refuses a data set that lacks points and may not start from others.
     fn check_points(&self, dataset: &Dataset) -> Result<()> {
-        let requested = self.data.random_points || self.data.photo_points == When::On;
+        let requested = self.data.random_points || self.data.photo_points == AutoSwitch::On;
         if !dataset.points.is_empty() || requested || dataset.may_lack_points() {
             return Ok(());
         }
@@ -56,11 +56,11 @@ impl Settings {
             Ok(points) => {
                 if !quiet {
                     let count = thousands(points.len() as u64);
-                    tell!("no points to start from; {count} at which the photos agree stand in for them");
+                    errln!("no points to start from; {count} at which the photos agree stand in for them");
                 }
                 dataset.set_points(points);
             }
-            Err(count) => tell!("warning: the photos agree at {count} points only, too few to start from"),
+            Err(count) => errln!("warning: the photos agree at {count} points only, too few to start from"),
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Refuses given settings that the training would not use.
 
-use super::{Facts, Given, Settings, file};
+use super::{DefaultsInput, Settings, SettingsSources, file};
 use ashsplat::train::StrategyType::{Budget, Fixed, Mcmc, Reference};
 use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
@@ -94,23 +94,23 @@ fn refuse_no_growth(given: &Table, train: &TrainSettings) -> Result<()> {
     Err(Error::argument(names[0], problem))
 }
 
-impl Given {
+impl SettingsSources {
     /// Refuses settings without effect, on the command line or in a file. A dump lists all settings, used or not, so it
     /// is not checked. The command line may switch off what another file switches on.
     pub fn refuse_unused(&self, settings: &Settings) -> Result<()> {
-        refuse(unused(&self.of_line, settings).first(), &self.of_line)?;
-        refuse_no_growth(&self.of_line, &settings.train)?;
+        refuse(unused(&self.from_args, settings).first(), &self.from_args)?;
+        refuse_no_growth(&self.from_args, &settings.train)?;
         let Some(path) = &self.file else { return Ok(()) };
         if file::is_dump(path)? {
             return Ok(());
         }
-        let given = &self.of_file;
+        let given = &self.from_file;
         refuse_no_growth(given, &settings.train)?;
-        let alone = Settings::from_table(given.clone(), &Facts::default())
+        let alone = Settings::from_table(given.clone(), &DefaultsInput::default())
             .map_err(|e| Error::argument("settings", e))?;
-        let of_file = unused(given, &alone);
+        let from_file = unused(given, &alone);
         let here = unused(given, settings);
-        refuse(here.iter().find(|unused| of_file.contains(unused)), given)
+        refuse(here.iter().find(|unused| from_file.contains(unused)), given)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Report of a merged scene's quality, inside blocks and along their seams.
 
-use super::seams::{Measured, Seams};
+use super::seams::{SceneErrors, Seams};
 use super::{Arguments, results_beside};
 use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Renderer, Result};
@@ -8,7 +8,7 @@ use ashsplat_files::{Gallery, splats};
 use ashsplat_program::blocks::BlocksFile;
 use ashsplat_program::config::{DataSettings, Settings, Split};
 use ashsplat_program::html::{self, Cell, escape, section};
-use ashsplat_program::look::look_of;
+use ashsplat_program::look::render_settings_of;
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::{counting, significant, thousands};
 use ashsplat_program::{output, session};
@@ -22,7 +22,7 @@ use std::sync::atomic::AtomicBool;
 const ASIDE: u8 = 3;
 
 /// Everything that the measurement needs except the scene.
-pub struct Ready {
+pub struct ReportSetup {
     page: PathBuf,
     gallery: Gallery,
     context: Context,
@@ -32,7 +32,7 @@ pub struct Ready {
 }
 
 /// A scene that is drawn.
-struct Drawn {
+struct MeasuredScene {
     renderer: Renderer,
     look: RenderSettings,
     gaussians: u64,
@@ -74,8 +74,8 @@ struct Results {
     worst_view: Option<String>,
 }
 
-impl Ready {
-    pub fn new(page: &Path, arguments: &Arguments, file: &BlocksFile) -> Result<Ready> {
+impl ReportSetup {
+    pub fn new(page: &Path, arguments: &Arguments, file: &BlocksFile) -> Result<ReportSetup> {
         let (division, host) = (&file.division, &arguments.device.host);
         if !division.dataset.eval {
             let problem = "needs held-out photos, and the blocks have none: partition with --eval";
@@ -106,26 +106,26 @@ impl Ready {
         options.frame = Some(division.frame());
         let gallery = session::open(&data, &options, &stop)?;
         file.check_cameras(&data.source_path, &gallery)?;
-        Ok(Ready { page: page.to_owned(), gallery, context: arguments.device.context()?, settings, stop })
+        Ok(Self { page: page.to_owned(), gallery, context: arguments.device.context()?, settings, stop })
     }
 
-    fn drawn(&self, path: &Path, settings: &Settings, arguments: &Arguments) -> Result<Drawn> {
+    fn scene(&self, path: &Path, settings: &Settings, arguments: &Arguments) -> Result<MeasuredScene> {
         let mut scene = splats::read(path, &arguments.device.host.reading(arguments.drop_invalid))?;
         scene.express_in(self.gallery.frame());
         let mut renderer = Renderer::new(&self.context)?;
         renderer.upload(&scene.gaussians)?;
-        let look = RenderSettings { inverse_depth: true, ..look_of(settings, &scene.header) };
-        Ok(Drawn { renderer, look, gaussians: scene.gaussians.len() as u64 })
+        let look = RenderSettings { inverse_depth: true, ..render_settings_of(settings, &scene.header) };
+        Ok(MeasuredScene { renderer, look, gaussians: scene.gaussians.len() as u64 })
     }
 
     /// Measures the scene, and writes the page and the JSON.
     pub fn measure(self, arguments: &Arguments, file: &BlocksFile) -> Result<()> {
         let cells = file.division.cells()?;
         let seams = Seams::of(&cells, file.division.margin_in_world());
-        let mut scenes = vec![self.drawn(&arguments.out, &self.settings, arguments)?];
+        let mut scenes = vec![self.scene(&arguments.out, &self.settings, arguments)?];
         if let Some(path) = &arguments.against {
             let model = Model::locate(path, None)?;
-            scenes.push(self.drawn(&model.ply, &model.settings, arguments)?);
+            scenes.push(self.scene(&model.ply, &model.settings, arguments)?);
         }
         let (measured, shown) = self.errors(&mut scenes, &seams, arguments.quiet)?;
         let merged = &measured[0];
@@ -156,7 +156,7 @@ impl Ready {
         output::write_text(&self.page, &page)?;
         if !arguments.quiet {
             results.say();
-            say!("report in {}", self.page.display());
+            outln!("report in {}", self.page.display());
         }
         arguments.device.report_validation(&self.context);
         Ok(())
@@ -166,11 +166,11 @@ impl Ready {
     /// view with its largest error.
     fn errors(
         &self,
-        scenes: &mut [Drawn],
+        scenes: &mut [MeasuredScene],
         seams: &Seams<'_>,
         quiet: bool,
-    ) -> Result<(Vec<Measured>, Vec<Option<usize>>)> {
-        let mut measured: Vec<Measured> = scenes.iter().map(|_| seams.nothing()).collect();
+    ) -> Result<(Vec<SceneErrors>, Vec<Option<usize>>)> {
+        let mut measured: Vec<SceneErrors> = scenes.iter().map(|_| seams.nothing()).collect();
         let mut shown = vec![(0.0, None); seams.all.len()];
         let held_out = self.gallery.held_out();
         let chosen: Vec<usize> = (0..held_out.len()).filter(|&index| held_out[index]).collect();
@@ -182,7 +182,7 @@ impl Ready {
             let counts = |pixel: usize| mask.as_ref().is_none_or(|mask| mask[pixel] != 0);
             let before: Vec<f64> = measured[0].seams.iter().map(|errors| errors.squared).collect();
             let mut regions = Vec::new();
-            for (Drawn { renderer, look, .. }, measured) in scenes.iter_mut().zip(&mut measured) {
+            for (MeasuredScene { renderer, look, .. }, measured) in scenes.iter_mut().zip(&mut measured) {
                 let frame = renderer.render(&view.camera, look)?;
                 if regions.is_empty() {
                     regions = seams.regions(&view.camera, &frame);
@@ -207,7 +207,7 @@ impl Ready {
         page: &mut String,
         (seam, index): (usize, usize),
         seams: &Seams<'_>,
-        scenes: &mut [Drawn],
+        scenes: &mut [MeasuredScene],
     ) -> Result<()> {
         let Some(view) = self.gallery.view(index).transpose()? else { return Ok(()) };
         let [first, second] = seams.all[seam].cells.map(|cell| cell + 1);
@@ -215,7 +215,7 @@ impl Ready {
         section(page, &title, "bright: along the seam");
         let mut pictures = vec![("photograph", Arc::unwrap_or_clone(view.photo.photo()?))];
         let mut regions = Vec::new();
-        for (Drawn { renderer, look, .. }, name) in scenes.iter_mut().zip(["merged", "against"]) {
+        for (MeasuredScene { renderer, look, .. }, name) in scenes.iter_mut().zip(["merged", "against"]) {
             let frame = renderer.render(&view.camera, look)?;
             if regions.is_empty() {
                 regions = seams.regions(&view.camera, &frame);
@@ -241,7 +241,7 @@ impl Ready {
 }
 
 impl Quality {
-    fn of(measured: &Measured, gaussians: u64) -> Quality {
+    fn of(measured: &SceneErrors, gaussians: u64) -> Quality {
         Quality {
             gaussians,
             mean_psnr: measured.mean_psnr(),
@@ -265,7 +265,7 @@ impl Results {
     fn say(&self) {
         for (name, quality) in self.scenes() {
             let [whole, inside, seam] = [quality.psnr, quality.inside_psnr, quality.seam_psnr].map(decibels);
-            say!(
+            outln!(
                 "{name}: PSNR {:.2} dB on {} held-out views; of all their pixels {whole}, inside of blocks {inside}, along seams \
                  {seam}",
                 quality.mean_psnr,

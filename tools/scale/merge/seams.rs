@@ -6,7 +6,7 @@ use ashsplat_program::blocks::parts::places;
 use glam::Vec3;
 
 /// Least number of visible pixels of a seam that is compared.
-const LEAST_PIXELS: u64 = 100;
+const MIN_PIXELS: u64 = 100;
 
 /// Sum of squared errors of colours, 0 to 1.
 #[derive(Clone, Copy, Default)]
@@ -30,7 +30,7 @@ impl Errors {
 
 /// Errors of a scene.
 #[derive(Default)]
-pub struct Measured {
+pub struct SceneErrors {
     /// Errors of each view.
     pub views: Vec<Errors>,
     pub inside: Errors,
@@ -38,7 +38,7 @@ pub struct Measured {
     pub seams: Vec<Errors>,
 }
 
-impl Measured {
+impl SceneErrors {
     /// Adds a view's frame and photo. `regions` has each pixel's seam, `counts` is false for pixels to skip.
     pub fn add(
         &mut self,
@@ -80,7 +80,7 @@ impl Measured {
 
     /// Seams with enough visible pixels, the worst first.
     pub fn worst_seams(&self) -> Vec<usize> {
-        let seen = |&seam: &usize| self.seams[seam].pixels >= LEAST_PIXELS;
+        let seen = |&seam: &usize| self.seams[seam].pixels >= MIN_PIXELS;
         let mut seams: Vec<usize> = (0..self.seams.len()).filter(seen).collect();
         let psnr = |seam: usize| self.seams[seam].psnr().unwrap_or(f64::INFINITY);
         seams.sort_by(|&a, &b| psnr(a).total_cmp(&psnr(b)));
@@ -107,8 +107,8 @@ impl Seams<'_> {
         Seams { cells, all, of_cells, band }
     }
 
-    pub fn nothing(&self) -> Measured {
-        Measured { seams: vec![Errors::default(); self.all.len()], ..Measured::default() }
+    pub fn nothing(&self) -> SceneErrors {
+        SceneErrors { seams: vec![Errors::default(); self.all.len()], ..SceneErrors::default() }
     }
 
     /// The nearest seam of a position's cell, if it is within the band.

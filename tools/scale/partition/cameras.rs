@@ -8,7 +8,7 @@ use ashsplat::scene::{Bounds, Camera, Cells};
 use ashsplat::train::SceneBlock;
 use ashsplat::{Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json::NamedCamera;
-use ashsplat_program::blocks::parts::{Part, Shown, places, small};
+use ashsplat_program::blocks::parts::{BlockPixels, Part, places, small};
 use ashsplat_program::progress::counting;
 use ashsplat_program::session;
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ pub struct Shares {
     /// Parts that show a cell and its margin, by photo, then by the cells that it is used for.
     parts: Vec<BTreeMap<usize, Part>>,
     /// Least share of a picture that a cell must cover to use the photo.
-    least: f64,
+    min_share: f64,
 }
 
 impl Shares {
@@ -32,9 +32,9 @@ impl Shares {
         look: &RenderSettings,
         (quiet, stop): (bool, &AtomicBool),
     ) -> Result<Shares> {
-        let (cells, margin, least) = cells;
+        let (cells, margin, min_share) = cells;
         let bar = counting("views", cameras.len() as u64, quiet);
-        let mut found = Shares { shares: Vec::new(), parts: Vec::new(), least };
+        let mut found = Shares { shares: Vec::new(), parts: Vec::new(), min_share };
         for NamedCamera { camera, .. } in cameras {
             session::check(stop)?;
             let camera = small(camera);
@@ -53,7 +53,7 @@ impl Shares {
         // A block that is the whole scene is trained on transparent pixels too, like the scene.
         let own = own.filter(|(_, core)| !SceneBlock::is_everything(**core));
         let part = |(cell, &core): (usize, &Bounds)| {
-            let part = Shown::of(camera, frame, (core, margin)).part();
+            let part = BlockPixels::of(camera, frame, (core, margin)).part();
             part.filter(|part| !part.is_whole()).map(|part| (cell, part))
         };
         let parts = own.filter_map(part).collect();
@@ -63,7 +63,7 @@ impl Shares {
     /// True if a photo is used for a cell.
     pub fn is_of(&self, photo: usize, cell: usize) -> bool {
         let own = self.shares[photo][cell];
-        own >= self.least || own > 0.0 && self.main_cell(photo) == Some(cell)
+        own >= self.min_share || own > 0.0 && self.main_cell(photo) == Some(cell)
     }
 
     /// The part of a photo that shows a cell and its margin. `None` uses the whole photo: the part is the whole, or
@@ -79,7 +79,7 @@ impl Shares {
     }
 
     /// Largest share of a cell in the photos for which `counts` is true.
-    pub fn most(&self, cell: usize, counts: impl Fn(usize) -> bool) -> f64 {
+    pub fn max_share(&self, cell: usize, counts: impl Fn(usize) -> bool) -> f64 {
         let photos = self.shares.iter().enumerate().filter(|(photo, _)| counts(*photo));
         photos.map(|(_, shares)| shares[cell]).fold(0.0, f64::max)
     }
@@ -89,8 +89,8 @@ impl Shares {
         let (photos, cells) = (self.shares.len(), self.shares.first().map_or(0, Vec::len));
         let others =
             |photo: usize| (0..cells).filter(|&cell| self.is_of(photo, cell)).count().saturating_sub(1);
-        let most = photos * cells.saturating_sub(1);
-        (0..photos).map(others).sum::<usize>() as f64 / most.max(1) as f64
+        let pairs = photos * cells.saturating_sub(1);
+        (0..photos).map(others).sum::<usize>() as f64 / pairs.max(1) as f64
     }
 
     /// Uses whole photos from now on.
@@ -140,8 +140,8 @@ mod tests {
         }
         // Two cells, divided where the camera looks.
         let cells = Cells::divide(&[[0.0; 3], [0.5, 0.0, 0.0]], 1).expect("cells");
-        let found = |least: f64| {
-            let mut found = Shares { shares: Vec::new(), parts: Vec::new(), least };
+        let found = |min_share: f64| {
+            let mut found = Shares { shares: Vec::new(), parts: Vec::new(), min_share };
             found.add(&camera, &frame, (&cells, 0.1));
             found
         };
@@ -152,14 +152,14 @@ mod tests {
         // A column is 2 tan(0.5) 2 / 40 = 0.055 wide: two columns of the margin, and one more.
         let part = |columns: [u32; 2]| Some(Part { of: [40, 20], columns, rows: [0, 20] });
         assert_eq!([0, 1].map(|cell| shares.part(0, cell)), [part([0, 23]), part([17, 40])]);
-        assert_eq!([0.25, 0.26].map(|least| found(least).spread()), [1.0, 0.0]);
+        assert_eq!([0.25, 0.26].map(|min_share| found(min_share).spread()), [1.0, 0.0]);
         let mut whole = found(0.25);
         whole.use_whole();
         assert_eq!([0, 1].map(|cell| whole.part(0, cell)), [None, None]);
         // Half of the photos show both cells.
         let shares = vec![vec![0.2, 0.2], vec![0.0, 0.4], vec![0.05, 0.1], vec![0.1, 0.3]];
-        assert_eq!(Shares { shares, parts: Vec::new(), least: 0.1 }.spread(), 0.5);
-        let others = |own: Vec<f64>| Shares { shares: vec![own], parts: Vec::new(), least: 0.1 };
+        assert_eq!(Shares { shares, parts: Vec::new(), min_share: 0.1 }.spread(), 0.5);
+        let others = |own: Vec<f64>| Shares { shares: vec![own], parts: Vec::new(), min_share: 0.1 };
         assert_eq!(others(vec![0.0, 0.0]).main_cell(0), None);
         assert_eq!(others(vec![0.3, 0.3]).main_cell(0), Some(0));
         let tall = Camera { width: 100, height: 1000, ..camera };

@@ -10,7 +10,7 @@ use std::time::Duration;
 /// Longest time of a refusal.
 const LONGEST: Duration = Duration::from_secs(20);
 /// Most memory of a refusal, MiB.
-const MOST_MEMORY: u64 = 600;
+const MAX_MEMORY: u64 = 600;
 
 /// Runs a command that must refuse, and returns its message.
 fn refuse(siege: &Siege, arguments: &[&str]) -> Result<String> {
@@ -18,17 +18,17 @@ fn refuse(siege: &Siege, arguments: &[&str]) -> Result<String> {
     ending.check_refused().map(|()| ending.errors)
 }
 
-/// The result of an attack that took less than `most` MiB.
-fn within(siege: &Siege, most: u64, said: &str) -> Result<String> {
+/// The result of an attack that took less than `limit` MiB.
+fn within(siege: &Siege, limit: u64, message: &str) -> Result<String> {
     let peak = siege.peak_mib();
-    ensure!(peak < most, "takes {peak} MiB");
-    Ok(said.into())
+    ensure!(peak < limit, "takes {peak} MiB");
+    Ok(message.into())
 }
 
 /// JSON files of 64 MiB beyond `--max-host-memory`.
 pub fn bounded_json(siege: &Siege) -> Result<String> {
     /// MiB; the program itself needs two thirds of it.
-    const MOST: u64 = 120;
+    const MAX_MIB: u64 = 120;
     let folder = siege.new_folder("bounded")?;
     data::write_small(&folder)?;
     let [tiles, blocks, model] = ["tileset.json", "blocks.json", "refused"].map(|name| folder.join(name));
@@ -53,10 +53,10 @@ pub fn bounded_json(siege: &Siege) -> Result<String> {
         &["render", text(&ply)?, "--path", text(&cameras)?, "-o", text(&model)?],
     ];
     for command in commands {
-        let said = refuse(siege, &[command, &["--max-host-memory", "16M"]].concat())?;
-        ensure!(said.contains("more than 16777216 (--max-host-memory)"), "{command:?}: {said}");
+        let message = refuse(siege, &[command, &["--max-host-memory", "16M"]].concat())?;
+        ensure!(message.contains("more than 16777216 (--max-host-memory)"), "{command:?}: {message}");
     }
-    within(siege, MOST, "each refused by the option's name")
+    within(siege, MAX_MIB, "each refused by the option's name")
 }
 
 /// A page sends a GLB whose JSON takes far more memory than its file.
@@ -138,5 +138,5 @@ pub fn damaged_blocks(siege: &Siege) -> Result<String> {
             refused += 1;
         }
     }
-    within(siege, MOST_MEMORY, &format!("{refused} refused in one line, {taken} read"))
+    within(siege, MAX_MEMORY, &format!("{refused} refused in one line, {taken} read"))
 }

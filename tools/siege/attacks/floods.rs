@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// Most memory that a flood may take, MiB.
-const MOST_MEMORY: u64 = 80;
+const MAX_MEMORY: u64 = 80;
 
 /// Sends a message repeatedly, as fast as possible, until stopped or cut off.
 fn flood(mut stream: &TcpStream, message: &[u8], over: &AtomicBool, sent: &AtomicU64) {
@@ -84,7 +84,7 @@ pub fn pages(siege: &Siege) -> Result<String> {
     })?;
     let more = siege.peak_mib().saturating_sub(before);
     let (frames, longest) = (looked.0, looked.1.as_millis());
-    ensure!(more <= MOST_MEMORY, "takes {more} MiB more, {MOST_MEMORY} would be enough");
+    ensure!(more <= MAX_MEMORY, "takes {more} MiB more, {MAX_MEMORY} would be enough");
     let sent = sent.into_inner() >> 20;
     Ok(format!(
         "{seconds:?}, {sent} MiB heard, {more} MiB more; another page got {frames} pictures, each within {longest} ms; \

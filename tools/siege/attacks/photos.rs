@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 /// Number of simultaneous requests.
 const REQUESTS: u32 = 40;
 /// Most additional memory of these requests, MiB.
-const MOST_MEMORY: u64 = 800;
+const MAX_MEMORY: u64 = 800;
 /// Most additional memory of refusals, MiB.
 const LITTLE_MEMORY: u64 = 100;
 
@@ -67,11 +67,11 @@ impl Gallery {
     }
 
     /// Checks the additional memory, and that a photo is still served.
-    fn check(&self, most: u64) -> Result<u64> {
+    fn check(&self, limit: u64) -> Result<u64> {
         let code = page::get(&self.host, "/photo/0", "", 3 * PATIENCE)?;
         ensure!(code == 200, "a photo is answered with {code} afterwards");
         let more = self.program.memory().saturating_sub(self.before);
-        ensure!(more <= most, "takes {more} MiB more, {most} would be enough");
+        ensure!(more <= limit, "takes {more} MiB more, {limit} would be enough");
         Ok(more)
     }
 }
@@ -80,7 +80,7 @@ pub fn at_once(siege: &Siege) -> Result<String> {
     let gallery = Gallery::open(siege)?;
     let [shown, refused] = gallery.ask_for_all("", [200, 503])?;
     ensure!(shown > 0, "none of the photos is shown");
-    let (more, size) = (gallery.check(MOST_MEMORY)?, size(siege));
+    let (more, size) = (gallery.check(MAX_MEMORY)?, size(siege));
     Ok(format!(
         "{REQUESTS} of {size}×{size}: {shown} shown, {refused} told to come again, {more} MiB more, another page answered"
     ))
@@ -94,6 +94,6 @@ pub fn foreign(siege: &Siege) -> Result<String> {
     let [refused, _] = gallery.ask_for_all(headers, [403, 403])?;
     let more = gallery.program.memory().saturating_sub(gallery.before);
     ensure!(more <= LITTLE_MEMORY, "takes {more} MiB to refuse them");
-    gallery.check(MOST_MEMORY)?;
+    gallery.check(MAX_MEMORY)?;
     Ok(format!("{refused} refused, {more} MiB more"))
 }

@@ -7,33 +7,33 @@ use std::sync::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
 /// Most waiting texts. A page that lets more pile up does not read, and is given up.
-const MOST_WORDS: usize = 256;
+const MAX_TEXTS: usize = 256;
 /// Most bytes of waiting texts, unless the first is longer: a greeting lists all cameras.
-const MOST_BYTES: usize = 8 << 20;
+const MAX_BYTES: usize = 8 << 20;
 
 /// See the module.
 #[derive(Default)]
 pub struct Outbox {
-    waiting: Mutex<Waiting>,
-    news: Notify,
+    waiting: Mutex<WaitingMessages>,
+    changed: Notify,
 }
 
 #[derive(Default)]
-struct Waiting {
-    words: VecDeque<String>,
+struct WaitingMessages {
+    texts: VecDeque<String>,
     picture: Option<Vec<u8>>,
     given_up: bool,
 }
 
-impl Waiting {
+impl WaitingMessages {
     fn is_full(&self) -> bool {
-        let bytes = self.words.iter().map(String::len).sum::<usize>();
-        self.words.len() >= MOST_WORDS || !self.words.is_empty() && bytes >= MOST_BYTES
+        let bytes = self.texts.iter().map(String::len).sum::<usize>();
+        self.texts.len() >= MAX_TEXTS || !self.texts.is_empty() && bytes >= MAX_BYTES
     }
 }
 
 impl Outbox {
-    fn lock(&self) -> MutexGuard<'_, Waiting> {
+    fn lock(&self) -> MutexGuard<'_, WaitingMessages> {
         locked(&self.waiting)
     }
 
@@ -44,17 +44,17 @@ impl Outbox {
             _ if waiting.given_up => return,
             ToPage::Binary(picture) => waiting.picture = Some(picture),
             ToPage::Text(_) if waiting.is_full() => {
-                *waiting = Waiting { given_up: true, ..Waiting::default() };
+                *waiting = WaitingMessages { given_up: true, ..WaitingMessages::default() };
             }
-            ToPage::Text(text) => waiting.words.push_back(text),
+            ToPage::Text(text) => waiting.texts.push_back(text),
         }
         drop(waiting);
-        self.news.notify_one();
+        self.changed.notify_one();
     }
 
     /// Number of waiting texts.
-    pub fn words(&self) -> usize {
-        self.lock().words.len()
+    pub fn texts(&self) -> usize {
+        self.lock().texts.len()
     }
 
     /// Waits for the next message; none if the page is given up. Cancelling it loses nothing.
@@ -65,13 +65,13 @@ impl Outbox {
                 if waiting.given_up {
                     return None;
                 }
-                let text = waiting.words.pop_front().map(ToPage::Text);
+                let text = waiting.texts.pop_front().map(ToPage::Text);
                 let next = text.or_else(|| waiting.picture.take().map(ToPage::Binary));
                 if next.is_some() {
                     return next;
                 }
             }
-            self.news.notified().await;
+            self.changed.notified().await;
         }
     }
 }

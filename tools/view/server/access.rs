@@ -1,6 +1,6 @@
 //! Access control: requests with the token, and this server's own pages.
 
-use super::{Site, refusal};
+use super::{AppState, refusal};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::middleware::Next;
@@ -10,25 +10,25 @@ use std::sync::Arc;
 
 /// Admits requests with the token. Without a token, admits only pages opened under a name of this machine or that of
 /// `--allow-origin`. This stops foreign sites that point their own name here.
-pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+pub async fn guard(State(state): State<Arc<AppState>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
-    let allowed = site.serve.allow_origin.as_deref();
+    let allowed = state.serve.allow_origin.as_deref();
     let allowed_host = allowed.and_then(|origin| Some(origin.split_once("://")?.1));
     let host = header_text(headers, header::HOST);
-    if let Some(token) = &site.serve.token {
+    if let Some(token) = &state.serve.token {
         let given = query_value(request.uri(), "token").or_else(|| cookie(headers, &cookie_name(headers)));
         if !given.is_some_and(|given| equal(given.as_bytes(), token.as_bytes())) {
             let text = "401: this viewer wants a token: open http://HOST:PORT/?token=WORD with the word that was given to --token\n";
             return (StatusCode::UNAUTHORIZED, text).into_response();
         }
     } else if !host.is_some_and(|host| is_own_name(host) || Some(host) == allowed_host) {
-        return foreign(&site, headers, "a name that is not this machine's: open http://localhost:PORT/");
+        return foreign(&state, headers, "a name that is not this machine's: open http://localhost:PORT/");
     }
     if !is_own_page(headers, allowed) && !is_visit(&request) {
-        return foreign(&site, headers, "a page of another site");
+        return foreign(&state, headers, "a page of another site");
     }
     let name = cookie_name(headers);
-    let from_query = query_value(request.uri(), "token").filter(|_| site.serve.token.is_some());
+    let from_query = query_value(request.uri(), "token").filter(|_| state.serve.token.is_some());
     let mut response = next.run(request).await;
     let headers = response.headers_mut();
     let mut set = |name, value: &str| {
@@ -50,15 +50,15 @@ pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) 
 }
 
 /// Refuses, and says how to admit a proxy: to the page, and once on stderr.
-fn foreign(site: &Site, headers: &HeaderMap, problem: &str) -> Response {
+fn foreign(state: &AppState, headers: &HeaderMap, problem: &str) -> Response {
     let [origin, host] =
         [header::ORIGIN, header::HOST].map(|name| header_text(headers, name).unwrap_or("none"));
-    let [.., option, _] = site.serve.names();
+    let [.., option, _] = state.serve.names();
     let remedy = format!(
         "if a proxy shows this page, start the viewer with {option} and the page's http(s)://HOST[:PORT]"
     );
-    site.refused.call_once(|| {
-        tell!("warning: a request to the viewer was refused (Origin {origin:.100}, Host {host:.100}): {problem}; {remedy}");
+    state.refused.call_once(|| {
+        errln!("warning: a request to the viewer was refused (Origin {origin:.100}, Host {host:.100}): {problem}; {remedy}");
     });
     refusal(StatusCode::FORBIDDEN, &format!("{problem}; {remedy}"))
 }
@@ -80,7 +80,7 @@ fn is_own_page(headers: &HeaderMap, allowed: Option<&str>) -> bool {
 /// True if a person follows a link to the page. The linking page learns nothing of the answer.
 fn is_visit(request: &Request) -> bool {
     let headers = request.headers();
-    let says = |name: &str, value: &str| headers.get(name).is_some_and(|said| said == value);
+    let says = |name: &str, value: &str| headers.get(name).is_some_and(|own| own == value);
     let navigates = says("sec-fetch-mode", "navigate") && says("sec-fetch-dest", "document");
     request.uri().path() == "/" && navigates && !headers.contains_key(header::ORIGIN)
 }

@@ -18,7 +18,7 @@ use tokio::net::{TcpListener, TcpStream};
 /// Pause when no connection can be accepted, for example because there are no free descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Most bytes of a request's headers.
-const MOST_HEADERS: usize = 64 << 10;
+const MAX_HEADERS: usize = 64 << 10;
 
 /// Accepts and serves connections for ever.
 pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
@@ -27,8 +27,8 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
         match listener.accept().await {
             Ok((stream, peer)) => {
                 if let Some(connection) = connections.admit(peer.ip()) {
-                    let stream = Watched { stream, connection, connections: connections.clone() };
-                    tokio::spawn(attend(stream, router.clone()));
+                    let stream = TrackedStream { stream, connection, connections: connections.clone() };
+                    tokio::spawn(serve_connection(stream, router.clone()));
                 }
             }
             Err(_) => tokio::time::sleep(PAUSE).await,
@@ -38,7 +38,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
     }
 }
 
-async fn attend(stream: Watched, router: Router) {
+async fn serve_connection(stream: TrackedStream, router: Router) {
     let (connection, limits) = (stream.connection.clone(), *stream.connections.limits());
     let answering = connection.clone();
     let router = TowerToHyperService::new(router);
@@ -53,52 +53,52 @@ async fn attend(stream: Watched, router: Router) {
         }
     });
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(limits.headers).max_buf_size(MOST_HEADERS);
+    http.timer(TokioTimer::new()).header_read_timeout(limits.headers).max_buf_size(MAX_HEADERS);
     let serving = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
     tokio::select! {
         // A closed or malformed connection ends itself only.
         ended = serving => drop(ended),
-        () = connection.must_go(limits.stall) => {}
+        () = connection.until_evicted(limits.stall) => {}
     }
 }
 
 /// A stream that notes its connection's traffic, and removes the connection from the open ones when it closes.
-struct Watched {
+struct TrackedStream {
     stream: TcpStream,
     connection: Arc<OpenConnection>,
     connections: Arc<OpenConnections>,
 }
 
-impl Drop for Watched {
+impl Drop for TrackedStream {
     fn drop(&mut self) {
         self.connections.remove(&self.connection);
     }
 }
 
-impl Watched {
-    fn noted(&self, written: Poll<Result<usize>>) -> Poll<Result<usize>> {
+impl TrackedStream {
+    fn note_written(&self, written: Poll<Result<usize>>) -> Poll<Result<usize>> {
         if matches!(written, Poll::Ready(Ok(bytes)) if bytes > 0) {
-            self.connection.has_moved();
+            self.connection.note_traffic();
         }
         written
     }
 }
 
-impl AsyncRead for Watched {
+impl AsyncRead for TrackedStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<Result<()>> {
         let before = buf.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(cx, buf);
         if buf.filled().len() > before {
-            self.connection.has_moved();
+            self.connection.note_traffic();
         }
         read
     }
 }
 
-impl AsyncWrite for Watched {
+impl AsyncWrite for TrackedStream {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
-        self.noted(written)
+        self.note_written(written)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Result<()>> {
@@ -115,7 +115,7 @@ impl AsyncWrite for Watched {
         parts: &[IoSlice<'_>],
     ) -> Poll<Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write_vectored(cx, parts);
-        self.noted(written)
+        self.note_written(written)
     }
 
     fn is_write_vectored(&self) -> bool {

@@ -2,9 +2,9 @@
 
 use super::access::query_value;
 use super::open_connections::OpenConnection;
-use super::{Site, busy, files, json_answer, refusal};
+use super::{AppState, busy, files, json_answer, refusal};
 use crate::cut::CutMessage;
-use crate::edits::Part;
+use crate::edits::GaussianSet;
 use crate::hub::CurrentScene;
 use crate::openings;
 use ashsplat::scene::{Cut, Similarity};
@@ -24,7 +24,7 @@ use tempfile::TempDir;
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
 /// Most exports that are written or sent at once: each takes the scene's memory, then its file's disk space.
-pub(super) const MOST_EXPORTS: usize = 2;
+pub(super) const MAX_EXPORTS: usize = 2;
 /// Longest wait for the rendering thread.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Largest number in a place, because files hold no positions farther away.
@@ -33,7 +33,7 @@ const FARTHEST: f64 = 1e18;
 /// The part, cut, SH degree and place that a page wants.
 #[derive(Clone, Copy)]
 struct Export {
-    part: Part,
+    part: GaussianSet,
     cut: CutMessage,
     sh_degree: u32,
     /// In the coordinates of the scene's file.
@@ -43,17 +43,17 @@ struct Export {
 /// `/export/NAME.ply?min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N&part=selection&rotate=X,Y,Z&scale=X&translate=X,Y,Z`:
 /// all is optional, and the last three are those of `ashsplat convert`.
 pub async fn export(
-    State(site): State<Arc<Site>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     UrlPath(name): UrlPath<String>,
     uri: Uri,
 ) -> response::Result<Response> {
     let format = openings::format_of(&name).filter(|format| Format::WRITTEN.contains(format));
     let format = format.ok_or(StatusCode::NOT_FOUND)?;
-    let ((folder, path), turn) =
-        made(&site, &connection, &uri, move |wanted, scene| wanted.write(scene, format)).await?;
+    let ((folder, path), permit) =
+        made(&state, &connection, &uri, move |options, scene| options.write(scene, format)).await?;
     // Both last until the file is sent.
-    let body = files::body_of(&path, (folder, turn)).ok_or(StatusCode::NOT_FOUND)?;
+    let body = files::body_of(&path, (folder, permit)).ok_or(StatusCode::NOT_FOUND)?;
     let kind = [
         (header::CONTENT_TYPE, "application/octet-stream"),
         (header::CONTENT_DISPOSITION, "attachment"),
@@ -65,47 +65,47 @@ pub async fn export(
 /// `/count?min_opacity=X&…`, same as for an export: counts the Gaussians that remain, `{"kept":N,"of":N,"losses":[]}`. With
 /// `format=spz`, `losses` says in words what that format cannot hold, and what the positions are relative to.
 pub async fn count(
-    State(site): State<Arc<Site>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     uri: Uri,
 ) -> response::Result<Response> {
     let format =
         query_value(&uri, "format").and_then(|ending| openings::format_of(&format!("scene.{ending}")));
     let (counts, _) =
-        made(&site, &connection, &uri, move |wanted, scene| wanted.count(scene, format)).await?;
+        made(&state, &connection, &uri, move |options, scene| options.count(scene, format)).await?;
     Ok(json_answer(counts.to_string()))
 }
 
-/// Works on the scene that an address wants, on a thread of its own. Returns the result and the turn, which lasts until the work is
+/// Works on the scene that an address wants, on a thread of its own. Returns the result and the permit, which lasts until the work is
 /// done, even if the page has gone; or the answer that refuses the page.
 async fn made<T: Send + 'static>(
-    site: &Site,
+    state: &AppState,
     connection: &OpenConnection,
     uri: &Uri,
     work: impl FnOnce(Export, CurrentScene) -> Result<T> + Send + 'static,
 ) -> response::Result<(T, OwnedSemaphorePermit)> {
     let refused = |code: StatusCode| move |error: Error| refusal(code, &error.to_string());
-    let wanted = Export::of_query(uri).map_err(refused(StatusCode::BAD_REQUEST))?;
-    let (scene, turn) = scene_of(site, connection, wanted.part).await?;
-    let work = tokio::task::spawn_blocking(move || work(wanted, scene).map(|done| (done, turn)));
+    let options = Export::of_query(uri).map_err(refused(StatusCode::BAD_REQUEST))?;
+    let (scene, permit) = scene_of(state, connection, options.part).await?;
+    let work = tokio::task::spawn_blocking(move || work(options, scene).map(|done| (done, permit)));
     let done = connection.waits_for(work).await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
     Ok(done.map_err(refused(StatusCode::UNPROCESSABLE_ENTITY))?)
 }
 
-/// Returns the current scene and its turn, held until it is dropped; or the answer that refuses the page.
+/// Returns the current scene and its permit, held until it is dropped; or the answer that refuses the page.
 async fn scene_of(
-    site: &Site,
+    state: &AppState,
     connection: &OpenConnection,
-    part: Part,
+    part: GaussianSet,
 ) -> response::Result<(CurrentScene, OwnedSemaphorePermit)> {
     let busy = || busy("other exports are being made: ask again in a while");
-    let turn = site.exports.clone().try_acquire_owned().map_err(|_| busy())?;
+    let permit = state.exports.clone().try_acquire_owned().map_err(|_| busy())?;
     let (answer, scene) = oneshot::channel();
-    if !site.hub.ask_for_scene(part, answer) {
+    if !state.hub.request_scene(part, answer) {
         return Err(busy().into());
     }
     match connection.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
-        Ok(Ok(Ok(scene))) => Ok((scene, turn)),
+        Ok(Ok(Ok(scene))) => Ok((scene, permit)),
         Ok(Ok(Err(problem))) => Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, &problem).into()),
         _ => Err(busy().into()),
     }
@@ -137,8 +137,8 @@ impl Export {
         let degree = query_value(uri, "sh_degree").unwrap_or("3".into()).parse::<u32>();
         let sh_degree = degree.ok().filter(|degree| *degree <= 3).ok_or_else(|| bad("sh_degree"))?;
         let part = match query_value(uri, "part").as_deref() {
-            None => Part::Seen,
-            Some("selection") => Part::Selection,
+            None => GaussianSet::Visible,
+            Some("selection") => GaussianSet::Selection,
             Some(_) => return Err(bad("part")),
         };
         let vector = |name: &str| -> Result<DVec3> {
@@ -184,8 +184,8 @@ impl Export {
 
     /// Writes a file into a new temporary folder.
     fn write(&self, mut scene: CurrentScene, format: Format) -> Result<(TempDir, PathBuf)> {
-        let room = std::env::temp_dir();
-        let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;
+        let parent = std::env::temp_dir();
+        let folder = tempfile::tempdir().map_err(|e| Error::io(&parent, "write a temporary file", e))?;
         let path = folder.path().join(format!("scene{}", format.extension()));
         self.apply(&mut scene);
         let options = WriteOptions { format: Some(format), ..scene.marks };

@@ -11,11 +11,11 @@ use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 
 /// Most connections in all. A page keeps one open, and a browser opens six more.
-const MOST: usize = 96;
+const MAX_CONNECTIONS: usize = 96;
 /// Descriptors reserved for the rest of the program, such as saving.
 const RESERVE: usize = 64;
 /// Connections that the viewer gets even with few descriptors.
-const LEAST: usize = 8;
+const MIN_CONNECTIONS: usize = 8;
 /// Interval at which a connection that waits for the program counts as active; much shorter than the stall limit.
 const NOTE: Duration = Duration::from_secs(10);
 
@@ -34,7 +34,7 @@ pub struct Limits {
 impl Limits {
     /// Limits that fit the process's free descriptors.
     pub fn of_process() -> Limits {
-        let total = free_descriptors().saturating_sub(RESERVE).clamp(LEAST, MOST);
+        let total = free_descriptors().saturating_sub(RESERVE).clamp(MIN_CONNECTIONS, MAX_CONNECTIONS);
         let (headers, stall) = (Duration::from_secs(10), Duration::from_secs(60));
         Limits { total, per_peer: total / 2, headers, stall }
     }
@@ -44,10 +44,10 @@ impl Limits {
 fn free_descriptors() -> usize {
     #[cfg(unix)]
     {
-        let most = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
-        let most = most.map_or(usize::MAX, |most| usize::try_from(most).unwrap_or(usize::MAX));
+        let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+        let limit = limit.map_or(usize::MAX, |limit| usize::try_from(limit).unwrap_or(usize::MAX));
         let open = std::fs::read_dir("/dev/fd").map_or(0, Iterator::count);
-        most.saturating_sub(open)
+        limit.saturating_sub(open)
     }
     #[cfg(not(unix))]
     usize::MAX
@@ -68,13 +68,13 @@ pub struct OpenConnection {
 
 struct State {
     /// Time of the last traffic.
-    moved: Instant,
+    last_traffic: Instant,
     /// Number of requests that are being answered.
     requests: usize,
     /// True for a page's WebSocket, which is watched elsewhere.
     page: bool,
     /// True if it must make way.
-    goes: bool,
+    evicted: bool,
 }
 
 impl OpenConnections {
@@ -93,18 +93,18 @@ impl OpenConnections {
     /// Admits a new connection. If there are too many, the longest idle one makes way. None if none is idle.
     pub fn admit(&self, peer: IpAddr) -> Option<Arc<OpenConnection>> {
         let mut taken = self.lock();
-        let staying = |connection: &&Arc<OpenConnection>| !connection.lock().goes;
+        let staying = |connection: &&Arc<OpenConnection>| !connection.lock().evicted;
         let of_peer = taken.iter().filter(staying).filter(|connection| connection.peer == peer).count();
         let full = taken.iter().filter(staying).count() >= self.limits.total;
         if of_peer >= self.limits.per_peer || full {
             let idle = taken.iter().filter(staying).filter(|connection| connection.is_idle());
             // An address that has used up its share gives up one of its own.
             let idle = idle.filter(|connection| of_peer < self.limits.per_peer || connection.peer == peer);
-            let longest = idle.min_by_key(|connection| connection.lock().moved)?;
-            longest.lock().goes = true;
+            let longest = idle.min_by_key(|connection| connection.lock().last_traffic)?;
+            longest.lock().evicted = true;
             longest.signal.notify_one();
         }
-        let state = State { moved: Instant::now(), requests: 0, page: false, goes: false };
+        let state = State { last_traffic: Instant::now(), requests: 0, page: false, evicted: false };
         let connection = Arc::new(OpenConnection { peer, state: Mutex::new(state), signal: Notify::new() });
         taken.push(connection.clone());
         Some(connection)
@@ -126,8 +126,8 @@ impl OpenConnection {
     }
 
     /// Records traffic.
-    pub fn has_moved(&self) {
-        self.lock().moved = Instant::now();
+    pub fn note_traffic(&self) {
+        self.lock().last_traffic = Instant::now();
     }
 
     /// Waits for the program's own work. Meanwhile the connection counts as active, since its peer is not at fault.
@@ -136,15 +136,15 @@ impl OpenConnection {
         loop {
             match tokio::time::timeout(NOTE, work.as_mut()).await {
                 Ok(done) => return done,
-                Err(_) => self.has_moved(),
+                Err(_) => self.note_traffic(),
             }
         }
     }
 
     /// Counts a request as being answered until the value is dropped.
-    pub fn begin(self: &Arc<OpenConnection>) -> Answering {
+    pub fn begin(self: &Arc<OpenConnection>) -> RequestGuard {
         self.lock().requests += 1;
-        Answering(self.clone())
+        RequestGuard(self.clone())
     }
 
     /// Marks the connection as a page's WebSocket.
@@ -158,10 +158,10 @@ impl OpenConnection {
     }
 
     /// Waits until the connection must make way, or has stalled.
-    pub async fn must_go(&self, stall: Duration) {
+    pub async fn until_evicted(&self, stall: Duration) {
         let must_go = || {
             let state = self.lock();
-            state.goes || !state.page && state.moved.elapsed() >= stall
+            state.evicted || !state.page && state.last_traffic.elapsed() >= stall
         };
         while !must_go() {
             tokio::time::timeout(stall / 8, self.signal.notified()).await.ok();
@@ -170,9 +170,9 @@ impl OpenConnection {
 }
 
 /// A request that is being answered.
-pub struct Answering(Arc<OpenConnection>);
+pub struct RequestGuard(Arc<OpenConnection>);
 
-impl Drop for Answering {
+impl Drop for RequestGuard {
     fn drop(&mut self) {
         self.0.lock().requests -= 1;
     }

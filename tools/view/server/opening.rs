@@ -1,7 +1,7 @@
 //! Files that pages send, and paths that they name: see [`openings`].
 
 use super::access::query_value;
-use super::{Site, busy, json_answer, refusal};
+use super::{AppState, busy, json_answer, refusal};
 use crate::openings::{self, OpenRequest, Openings};
 use ashsplat_files::splats::Format;
 use axum::body::{Body, Bytes, to_bytes};
@@ -25,7 +25,7 @@ const GRACE: Duration = Duration::from_secs(60);
 /// Received bytes that add one second to that time. A slower sender would keep others from sending.
 const BYTES_PER_SECOND: u64 = 256 << 10;
 /// Most bytes of a refused upload that are still read.
-const MOST_DRAINED: usize = 16 << 20;
+const MAX_DRAINED: usize = 16 << 20;
 /// Longest time for reading them.
 const LINGER: Duration = Duration::from_secs(1);
 /// Most letters of a file's name on disk.
@@ -35,13 +35,13 @@ const LONGEST_NAME: usize = 200;
 
 /// `POST /upload/NAME.ply` with the file's bytes; `?add=1` opens it beside the scenes that are open.
 pub async fn upload(
-    State(site): State<Arc<Site>>,
+    State(state): State<Arc<AppState>>,
     UrlPath(name): UrlPath<String>,
     request: Request,
 ) -> Response {
     let (head, mut body) = request.into_parts();
     let add = query_value(&head.uri, "add").is_some();
-    match take_in(&site, (&name, add), &head.headers, &mut body).await {
+    match take_in(&state, (&name, add), &head.headers, &mut body).await {
         Ok(()) => StatusCode::ACCEPTED.into_response(),
         Err(refused) => {
             drain(&mut body).await;
@@ -52,12 +52,12 @@ pub async fn upload(
 
 /// On refusal, part of the body may be left unread.
 async fn take_in(
-    site: &Site,
+    state: &AppState,
     (name, add): (&str, bool),
     headers: &HeaderMap,
     body: &mut Body,
 ) -> Result<(), Response> {
-    let openings = site.openings.as_ref().ok_or_else(not_here)?;
+    let openings = state.openings.as_ref().ok_or_else(not_here)?;
     // Foreign pages cannot send this content type without a preflight request.
     if !is_kind(headers, "application/octet-stream") {
         let problem = "send a file as application/octet-stream";
@@ -70,17 +70,17 @@ async fn take_in(
     let length = headers.get(header::CONTENT_LENGTH).and_then(|text| text.to_str().ok()?.parse().ok());
     let length =
         length.ok_or_else(|| refusal(StatusCode::LENGTH_REQUIRED, "the file's length is missing"))?;
-    let most = openings.most_bytes;
-    if length > most {
-        let problem = format!("{name}: has {length} bytes; reading may take {most} (--max-host-memory)");
+    let max_bytes = openings.max_bytes;
+    if length > max_bytes {
+        let problem = format!("{name}: has {length} bytes; reading may take {max_bytes} (--max-host-memory)");
         return Err(refusal(StatusCode::PAYLOAD_TOO_LARGE, &problem));
     }
-    let turn = openings.turn().ok_or_else(occupied)?;
+    let permit = Some(openings.permit().ok_or_else(occupied)?);
     let folder = tempfile::tempdir().map_err(no_room)?;
     let path = folder.path().join(plain(name, format));
     receive(body, &path, length).await?;
     let name = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
-    openings.ask(OpenRequest { path, name, add, within: None, upload: Some(folder), turn: Some(turn) });
+    openings.submit(OpenRequest { path, name, add, within: None, upload: Some(folder), permit });
     Ok(())
 }
 
@@ -92,21 +92,21 @@ fn plain(name: &str, format: Format) -> String {
 }
 
 /// `POST /open` with `{"path": "…"}`.
-pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<StatusCode, Response> {
-    let (openings, name) = named(&site, request).await?;
+pub async fn open(State(state): State<Arc<AppState>>, request: Request) -> Result<StatusCode, Response> {
+    let (openings, name) = named(&state, request).await?;
     let name = name.trim();
     let found = openings.find(name);
     let (path, folder) = found.map_err(|problem| refusal(StatusCode::NOT_FOUND, &problem))?;
     let within = Some(folder.to_owned());
-    let turn = openings.turn().ok_or_else(occupied)?;
-    let (name, turn) = (name.to_owned(), Some(turn));
-    openings.ask(OpenRequest { path, name, within, turn, ..OpenRequest::default() });
+    let permit = openings.permit().ok_or_else(occupied)?;
+    let (name, permit) = (name.to_owned(), Some(permit));
+    openings.submit(OpenRequest { path, name, within, permit, ..OpenRequest::default() });
     Ok(StatusCode::ACCEPTED)
 }
 
 /// The path that a request has, and the bounds of what pages may open.
-async fn named(site: &Site, request: Request) -> Result<(&Arc<Openings>, String), Response> {
-    let openings = site.openings.as_ref().ok_or_else(not_here)?;
+async fn named(state: &AppState, request: Request) -> Result<(&Arc<Openings>, String), Response> {
+    let openings = state.openings.as_ref().ok_or_else(not_here)?;
     if !is_kind(request.headers(), "application/json") {
         return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
     }
@@ -119,13 +119,13 @@ async fn named(site: &Site, request: Request) -> Result<(&Arc<Openings>, String)
 }
 
 /// `POST /paths` with `{"path": "…"}`: answers with the paths that start with it, `{"paths": ["…"], "more": false}`.
-pub async fn paths(State(site): State<Arc<Site>>, request: Request) -> Result<Response, Response> {
-    let (openings, begin) = named(&site, request).await?;
+pub async fn paths(State(state): State<Arc<AppState>>, request: Request) -> Result<Response, Response> {
+    let (openings, begin) = named(&state, request).await?;
     let openings = openings.clone();
     let failed = || StatusCode::INTERNAL_SERVER_ERROR.into_response();
-    let turn = openings.listing.clone().acquire_owned().await.map_err(|_| failed())?;
+    let permit = openings.listing.clone().acquire_owned().await.map_err(|_| failed())?;
     let work = move || {
-        let _turn = turn;
+        let _turn = permit;
         openings.list(&begin).to_string()
     };
     let list = tokio::task::spawn_blocking(work).await.map_err(|_| failed())?;
@@ -159,7 +159,7 @@ async fn receive(body: &mut Body, path: &Path, length: u64) -> Result<(), Respon
 /// Reads some of what is still sent: a browser that is cut off while sending may not show the refusal.
 async fn drain(body: &mut Body) {
     let rest = async {
-        let mut left = MOST_DRAINED;
+        let mut left = MAX_DRAINED;
         while let Some(Ok(frame)) = next(body).await {
             let bytes = frame.data_ref().map_or(0, Bytes::len);
             let Some(rest) = left.checked_sub(bytes) else { return };
@@ -170,7 +170,7 @@ async fn drain(body: &mut Body) {
 }
 
 fn is_kind(headers: &HeaderMap, kind: &str) -> bool {
-    headers.get(header::CONTENT_TYPE).is_some_and(|said| said == kind)
+    headers.get(header::CONTENT_TYPE).is_some_and(|value| value == kind)
 }
 
 fn not_here() -> Response {

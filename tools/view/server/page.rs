@@ -2,7 +2,7 @@
 //! and takes no memory or time from the others.
 
 use super::open_connections::OpenConnection;
-use super::{Site, refusal};
+use super::{AppState, refusal};
 use crate::hub::Hub;
 use crate::pace::Pace;
 use crate::protocol::{FromPage, ToPage};
@@ -24,29 +24,29 @@ pub(super) const SILENCE: Duration = PING.saturating_mul(3);
 /// Longest message of a page.
 const LONGEST_MESSAGE: usize = 256 * 1024;
 /// Nothing more is read while this many replies wait.
-const MOST_REPLIES: usize = 16;
+const MAX_REPLIES: usize = 16;
 
 const TOO_MANY: &str = "too many pages look on already";
 
 /// Opens a page's WebSocket.
 pub async fn socket(
-    State(site): State<Arc<Site>>,
+    State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if !site.hub.has_room() {
+    if !state.hub.accepts_pages() {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, TOO_MANY);
     }
     let upgrade = upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE);
     upgrade.on_upgrade(move |socket| {
         connection.becomes_page();
-        converse(socket, site.hub.clone())
+        serve_page(socket, state.hub.clone())
     })
 }
 
 /// Says why a page's WebSocket does not open: browsers hide the handshake's answer from the page.
-pub async fn explain(State(site): State<Arc<Site>>) -> Response {
-    if !site.hub.has_room() {
+pub async fn explain(State(state): State<Arc<AppState>>) -> Response {
+    if !state.hub.accepts_pages() {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, TOO_MANY);
     }
     let problem = "WebSockets do not arrive here: a proxy must pass on the headers Upgrade and Connection";
@@ -54,27 +54,27 @@ pub async fn explain(State(site): State<Arc<Site>>) -> Response {
 }
 
 /// A connected page. It leaves the hub when this is dropped, also by a panic.
-struct Visit {
+struct PageGuard {
     hub: Arc<Hub>,
     client: u64,
 }
 
-impl Drop for Visit {
+impl Drop for PageGuard {
     fn drop(&mut self) {
         self.hub.leave(self.client);
     }
 }
 
 /// Serves one page until it leaves.
-async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
+async fn serve_page(mut socket: WebSocket, hub: Arc<Hub>) {
     let Some((client, outbox)) = hub.join() else { return };
-    let _visit = Visit { hub: hub.clone(), client };
+    let _guard = PageGuard { hub: hub.clone(), client };
     let mut clock = tokio::time::interval(PING);
-    let mut heard = Instant::now();
+    let mut last_message = Instant::now();
     let mut pace = Pace::new();
     loop {
         let wait = pace.wait();
-        let listens = wait.is_zero() && outbox.words() < MOST_REPLIES;
+        let listens = wait.is_zero() && outbox.texts() < MAX_REPLIES;
         let message = tokio::select! {
             // Replies first; received messages count before the clock.
             biased;
@@ -87,11 +87,11 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
                 None => break,
             },
             message = socket.recv(), if listens => {
-                heard = Instant::now();
+                last_message = Instant::now();
                 match message {
                     Some(Ok(Message::Text(text))) => {
                         pace.spend(text.len());
-                        heed(&hub, client, text.as_str());
+                        handle_message(&hub, client, text.as_str());
                     }
                     Some(Ok(Message::Close(_)) | Err(_)) | None => break,
                     Some(Ok(other)) => pace.spend(other.into_data().len()),
@@ -99,14 +99,14 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
                 continue;
             },
             _ = clock.tick() => {
-                if heard.elapsed() > SILENCE {
+                if last_message.elapsed() > SILENCE {
                     break;
                 }
                 Message::Ping(Default::default())
             }
             () = tokio::time::sleep(wait), if !wait.is_zero() => {
                 // The page was not read during this wait, so its silence does not count.
-                heard = Instant::now();
+                last_message = Instant::now();
                 continue;
             }
         };
@@ -117,7 +117,7 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
 }
 
 /// Handles a page's message, or queues it for the rendering thread.
-fn heed(hub: &Hub, client: u64, text: &str) {
+fn handle_message(hub: &Hub, client: u64, text: &str) {
     let refuse = |message: &str| hub.send(client, ToPage::problem(message));
     match serde_json::from_str(text) {
         Ok(FromPage::View(view)) => hub.set_view(client, view),

@@ -1,6 +1,6 @@
 //! The thread that reads tiles and uploads them: no frame waits for a file.
 
-use crate::subject::Streamed;
+use crate::loaded_scene::Streamed;
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::Context;
 use ashsplat::{DeviceScene, Error, Result, ShStorage};
@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 /// A tile and its Gaussians on the device, or the error.
-pub type Arrival = (usize, Result<DeviceScene>);
+pub type LoadedTile = (usize, Result<DeviceScene>);
 
 /// See the module.
 pub struct Loader {
@@ -18,19 +18,19 @@ pub struct Loader {
 
 struct Shared {
     state: Mutex<State>,
-    news: Condvar,
+    changed: Condvar,
 }
 
 #[derive(Default)]
 struct State {
-    wishes: VecDeque<usize>,
+    requested: VecDeque<usize>,
     /// The tile being read.
     current: Option<usize>,
-    arrivals: Vec<Arrival>,
+    arrivals: Vec<LoadedTile>,
     /// Context for uploads; none once the loader ends.
     context: Option<Context>,
     /// True while the thread uses the device.
-    uploads: bool,
+    is_uploading: bool,
 }
 
 impl Shared {
@@ -43,40 +43,40 @@ impl Shared {
         let mut state = self.lock();
         loop {
             state.context.as_ref()?;
-            if let Some(tile) = state.wishes.pop_front() {
+            if let Some(tile) = state.requested.pop_front() {
                 state.current = Some(tile);
                 return Some(tile);
             }
-            state = self.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
     /// Returns the context for an upload, unless the loader ends.
     fn begin_upload(&self) -> Option<Context> {
         let mut state = self.lock();
-        state.uploads = state.context.is_some();
+        state.is_uploading = state.context.is_some();
         state.context.clone()
     }
 
-    fn arrive(&self, arrival: Arrival) {
+    fn arrive(&self, arrival: LoadedTile) {
         let mut state = self.lock();
-        (state.current, state.uploads) = (None, false);
+        (state.current, state.is_uploading) = (None, false);
         state.arrivals.push(arrival);
-        self.news.notify_all();
+        self.changed.notify_all();
     }
 }
 
 impl Loader {
-    /// Starts the thread; `arrived` is called after each tile. All tiles have the SH degree `sh_degree`.
+    /// Starts the thread; `on_loaded` is called after each tile. All tiles have the SH degree `sh_degree`.
     pub fn start(
         context: Context,
         streamed: Streamed,
         sh_degree: u32,
         stored: impl Fn(&Gaussians) -> ShStorage + Send + 'static,
-        arrived: impl Fn() + Send + 'static,
+        on_loaded: impl Fn() + Send + 'static,
     ) -> Result<Loader> {
         let state = Mutex::new(State { context: Some(context), ..State::default() });
-        let shared = Arc::new(Shared { state, news: Condvar::new() });
+        let shared = Arc::new(Shared { state, changed: Condvar::new() });
         let own = shared.clone();
         let work = move || {
             while let Some(tile) = own.next() {
@@ -89,7 +89,7 @@ impl Loader {
                 });
                 drop(context);
                 own.arrive((tile, scene));
-                arrived();
+                on_loaded();
             }
         };
         let thread = std::thread::Builder::new().name("tiles".into()).spawn(work);
@@ -98,18 +98,18 @@ impl Loader {
     }
 
     /// Replaces the list of tiles to read, most urgent first. Earlier entries that are not repeated are dropped.
-    pub fn ask(&self, tiles: impl IntoIterator<Item = usize>) {
+    pub fn request(&self, tiles: impl IntoIterator<Item = usize>) {
         let mut state = self.shared.lock();
         let known = |tile: &usize| {
             state.current == Some(*tile) || state.arrivals.iter().any(|(arrived, _)| arrived == tile)
         };
-        state.wishes = tiles.into_iter().filter(|tile| !known(tile)).collect();
+        state.requested = tiles.into_iter().filter(|tile| !known(tile)).collect();
         drop(state);
-        self.shared.news.notify_one();
+        self.shared.changed.notify_one();
     }
 
     /// Takes the tiles that have arrived since the last call.
-    pub fn arrivals(&self) -> Vec<Arrival> {
+    pub fn arrivals(&self) -> Vec<LoadedTile> {
         std::mem::take(&mut self.shared.lock().arrivals)
     }
 }
@@ -120,9 +120,9 @@ impl Drop for Loader {
     fn drop(&mut self) {
         let mut state = self.shared.lock();
         state.context = None;
-        self.shared.news.notify_all();
-        while state.uploads {
-            state = self.shared.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+        self.shared.changed.notify_all();
+        while state.is_uploading {
+            state = self.shared.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         state.arrivals.clear();
     }

@@ -9,18 +9,18 @@ use std::sync::Arc;
 /// The loaded tiles. All wanted tiles stay. Of the others the most recent stay, with at most one picture's Gaussians.
 pub struct Residency<T> {
     tree: Arc<Tree>,
-    there: BTreeMap<usize, Held<T>>,
+    loaded: BTreeMap<usize, ResidentTile<T>>,
     wanted: BTreeMap<Viewer, Vec<usize>>,
     /// Errors of tiles that cannot be read.
     failed: BTreeMap<usize, String>,
     /// Tiles for which the device had no memory. They are requested again once some viewer wants other tiles.
     refused: BTreeSet<usize>,
     /// True once the lack of memory was reported.
-    said: bool,
+    reported: bool,
     frames: u64,
 }
 
-struct Held<T> {
+struct ResidentTile<T> {
     scene: T,
     /// Last frame that wanted it.
     frame: u64,
@@ -39,9 +39,9 @@ pub struct Cut {
 impl<T> Residency<T> {
     /// Starts with the coarsest tile, which always stays.
     pub fn new(tree: Arc<Tree>, coarsest: T) -> Self {
-        let there = BTreeMap::from([(0, Held { scene: coarsest, frame: 0 })]);
+        let loaded = BTreeMap::from([(0, ResidentTile { scene: coarsest, frame: 0 })]);
         let (wanted, failed, refused) = (BTreeMap::new(), BTreeMap::new(), BTreeSet::new());
-        Self { tree, there, wanted, failed, refused, said: false, frames: 0 }
+        Self { tree, loaded, wanted, failed, refused, reported: false, frames: 0 }
     }
 
     /// Returns the tiles of a viewer's next picture. Removes unwanted tiles beyond the budget.
@@ -55,8 +55,8 @@ impl<T> Residency<T> {
             self.refused.retain(|tile| others.contains(tile));
         }
         for tile in &wanted {
-            if let Some(held) = self.there.get_mut(tile) {
-                held.frame = self.frames;
+            if let Some(resident) = self.loaded.get_mut(tile) {
+                resident.frame = self.frames;
             }
         }
         let missing = wanted.iter().copied().filter(|tile| !self.has(*tile) && !self.refused.contains(tile));
@@ -68,21 +68,21 @@ impl<T> Residency<T> {
     }
 
     /// Drops viewers that have left.
-    pub fn keep_viewers(&mut self, is_there: impl Fn(&Viewer) -> bool) {
-        self.wanted.retain(|viewer, _| is_there(viewer));
+    pub fn keep_viewers(&mut self, is_connected: impl Fn(&Viewer) -> bool) {
+        self.wanted.retain(|viewer, _| is_connected(viewer));
     }
 
     pub fn has(&self, tile: usize) -> bool {
-        self.there.contains_key(&tile)
+        self.loaded.contains_key(&tile)
     }
 
     pub fn get(&self, tile: usize) -> Option<&T> {
-        self.there.get(&tile).map(|held| &held.scene)
+        self.loaded.get(&tile).map(|resident| &resident.scene)
     }
 
     /// Adds a loaded tile.
     pub fn add(&mut self, tile: usize, scene: T) {
-        self.there.insert(tile, Held { scene, frame: self.frames });
+        self.loaded.insert(tile, ResidentTile { scene, frame: self.frames });
     }
 
     /// Records a tile that failed. Returns the message to show, if any.
@@ -92,16 +92,16 @@ impl<T> Residency<T> {
             return self.failed.insert(tile, problem.clone()).is_none().then_some(problem);
         }
         // The tile is then tried again.
-        if self.make_room() {
+        if self.evict_unwanted() {
             return None;
         }
         self.refused.insert(tile);
-        let said = std::mem::replace(&mut self.said, true);
-        (!said).then(|| format!("no memory for finer tiles, a smaller budget needs less: {error}"))
+        let reported = std::mem::replace(&mut self.reported, true);
+        (!reported).then(|| format!("no memory for finer tiles, a smaller budget needs less: {error}"))
     }
 
     /// Removes all tiles that nobody wants. True if there were any.
-    pub fn make_room(&mut self) -> bool {
+    pub fn evict_unwanted(&mut self) -> bool {
         let gone = self.evict(0) > 0;
         if gone {
             self.refused.clear();
@@ -111,7 +111,7 @@ impl<T> Residency<T> {
 
     /// Number of loaded tiles, and of their Gaussians.
     pub fn resident(&self) -> (usize, usize) {
-        (self.there.len(), self.there.keys().map(|&tile| self.gaussians(tile)).sum())
+        (self.loaded.len(), self.loaded.keys().map(|&tile| self.gaussians(tile)).sum())
     }
 
     /// Errors of tiles that cannot be read.
@@ -123,22 +123,23 @@ impl<T> Residency<T> {
         self.tree.tiles().get(tile).map_or(0, |tile| tile.gaussians)
     }
 
-    /// Removes unwanted tiles, longest unwanted first, until the others have at most `most` Gaussians. Returns the number
+    /// Removes unwanted tiles, longest unwanted first, until the others have at most `max_gaussians` Gaussians. Returns the number
     /// removed.
-    fn evict(&mut self, most: usize) -> usize {
+    fn evict(&mut self, max_gaussians: usize) -> usize {
         let wanted: BTreeSet<usize> = self.wanted.values().flatten().copied().chain([0]).collect();
-        let unwanted = self.there.iter().filter(|(tile, _)| !wanted.contains(tile));
-        let mut unwanted: Vec<(u64, usize)> = unwanted.map(|(&tile, held)| (held.frame, tile)).collect();
+        let unwanted = self.loaded.iter().filter(|(tile, _)| !wanted.contains(tile));
+        let mut unwanted: Vec<(u64, usize)> =
+            unwanted.map(|(&tile, resident)| (resident.frame, tile)).collect();
         // Latest first; among these the coarser ones, which cover more.
         unwanted.sort_unstable_by_key(|&(frame, tile)| (std::cmp::Reverse(frame), tile));
-        let (mut kept, before) = (0, self.there.len());
+        let (mut kept, before) = (0, self.loaded.len());
         for (_, tile) in unwanted {
             kept += self.gaussians(tile);
-            if kept > most {
-                self.there.remove(&tile);
+            if kept > max_gaussians {
+                self.loaded.remove(&tile);
             }
         }
-        before - self.there.len()
+        before - self.loaded.len()
     }
 }
 
@@ -173,7 +174,7 @@ mod tests {
             all.sh.push([0.1; 3]);
         }
         splats::write(&scene, &all, &WriteOptions::default()).expect("a scene");
-        let options = TileOptions { most: 20, packed: false };
+        let options = TileOptions { max_gaussians: 20, packed: false };
         let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
         tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
             .expect("tiles");
@@ -200,7 +201,7 @@ mod tests {
         let mut residency = Residency::new(tree.clone(), ());
         let first = residency.cut(PAGES[0], &Demand::of(&looking(0.0), BUDGET));
         assert_eq!((first.drawn.as_slice(), first.missing.len() + 1), (&[0][..], first.wanted));
-        let mut most = 0;
+        let mut max_tiles = 0;
         for step in 0..100 {
             let cut = loaded(&mut residency, PAGES[0], 0.3 * step as f32);
             assert_eq!(cut.drawn, tree.cut(&looking(0.3 * step as f32), BUDGET));
@@ -208,9 +209,9 @@ mod tests {
             let wanted: usize =
                 residency.wanted[&PAGES[0]].iter().map(|&tile| residency.gaussians(tile)).sum();
             assert!(residency.resident().1 <= wanted + BUDGET, "{:?}", residency.resident());
-            most = most.max(residency.resident().0);
+            max_tiles = max_tiles.max(residency.resident().0);
         }
-        assert!(2 * most < tree.tiles().len(), "{most} of {}", tree.tiles().len());
+        assert!(2 * max_tiles < tree.tiles().len(), "{max_tiles} of {}", tree.tiles().len());
         // Another page looks the other way; neither removes the other's tiles.
         let both = [0.0, 3.1].map(looking);
         for (page, turn) in [(0, 0.0), (1, 3.1), (1, 3.1), (0, 0.0), (1, 3.1)] {

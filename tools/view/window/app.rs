@@ -2,9 +2,9 @@
 
 use super::controls::{Button, Click, Controls, Modifiers, NOTCH};
 use super::keys::{self, Action};
-use super::pace::Due;
+use super::pace::NextFrame;
 use super::present::{Present, unfit};
-use super::stage::Stage;
+use super::viewer::WindowViewer;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use winit::window::{Fullscreen, Window, WindowId};
 
 /// First size of the window, logical pixels.
 const SIZE: LogicalSize<u32> = LogicalSize::new(1280, 720);
-const LEAST_SIZE: LogicalSize<u32> = LogicalSize::new(64, 64);
+const MIN_SIZE: LogicalSize<u32> = LogicalSize::new(64, 64);
 /// Sleep times: when idle, until Ctrl-C is checked; while the device works; while the window is not ready.
 const IDLE: Duration = Duration::from_millis(100);
 const WORKING: Duration = Duration::from_millis(2);
@@ -27,9 +27,9 @@ const NOT_READY: Duration = Duration::from_millis(30);
 /// Distance at which the pointer grasps the line between photo and render, logical pixels.
 const GRASP: f64 = 8.0;
 
-/// The window. Fields drop in this order: the stage before the objects that present it.
+/// The window. Fields drop in this order: the viewer before the objects that present it.
 pub struct App {
-    stage: Option<Stage>,
+    viewer: Option<WindowViewer>,
     present: Option<Present>,
     window: Option<Arc<Window>>,
     context: Option<Context>,
@@ -44,9 +44,9 @@ pub struct App {
 }
 
 impl App {
-    pub fn new(stage: Stage, context: Context, stop: Arc<AtomicBool>, vsync: bool) -> App {
+    pub fn new(viewer: WindowViewer, context: Context, stop: Arc<AtomicBool>, vsync: bool) -> App {
         App {
-            stage: Some(stage),
+            viewer: Some(viewer),
             present: None,
             window: None,
             context: Some(context),
@@ -65,39 +65,39 @@ impl App {
             // It fails only if the device is lost, which is already reported.
             present.idle().ok();
         }
-        (self.stage, self.present, self.window, self.context) = (None, None, None, None);
+        (self.viewer, self.present, self.window, self.context) = (None, None, None, None);
         self.failed.take()
     }
 
     fn open(&mut self, events: &ActiveEventLoop) -> Result<()> {
-        let (Some(stage), Some(context)) = (&mut self.stage, &self.context) else { return Ok(()) };
-        let title = format!("{} · ashsplat", stage.title());
+        let (Some(viewer), Some(context)) = (&mut self.viewer, &self.context) else { return Ok(()) };
+        let title = format!("{} · ashsplat", viewer.title());
         let attributes = Window::default_attributes().with_title(title);
-        let attributes = attributes.with_inner_size(SIZE).with_min_inner_size(LEAST_SIZE);
+        let attributes = attributes.with_inner_size(SIZE).with_min_inner_size(MIN_SIZE);
         let window = events.create_window(attributes).map_err(|error| unfit(&error.to_string()))?;
         let window = Arc::new(window);
-        stage.scale_factor = window.scale_factor();
+        viewer.scale_factor = window.scale_factor();
         self.present = Some(Present::new(context, window.clone(), self.vsync)?);
         self.window = Some(window);
         Ok(())
     }
 
     fn event(&mut self, events: &ActiveEventLoop, event: WindowEvent) -> Result<()> {
-        let (Some(stage), Some(present)) = (&mut self.stage, &mut self.present) else { return Ok(()) };
-        let (now, factor) = (Instant::now(), stage.scale_factor);
+        let (Some(viewer), Some(present)) = (&mut self.viewer, &mut self.present) else { return Ok(()) };
+        let (now, factor) = (Instant::now(), viewer.scale_factor);
         match event {
             WindowEvent::CloseRequested | WindowEvent::Destroyed => events.exit(),
             WindowEvent::RedrawRequested => {
-                let due = stage.due(now, self.controls.is_busy());
+                let frame = viewer.next_frame(now, self.controls.is_busy());
                 // The system also asks when the window's contents are lost.
-                let due = if due == Due::Nothing { Due::Still } else { due };
-                let shown = stage.draw(present, due)?;
+                let frame = if frame == NextFrame::Nothing { NextFrame::Still } else { frame };
+                let shown = viewer.draw(present, frame)?;
                 self.not_before = (!shown).then(|| now + NOT_READY);
             }
-            WindowEvent::Resized(_) | WindowEvent::Occluded(false) => stage.pace.leap(),
+            WindowEvent::Resized(_) | WindowEvent::Occluded(false) => viewer.pace.leap(),
             WindowEvent::ScaleFactorChanged { scale_factor, .. } => {
-                stage.scale_factor = scale_factor;
-                stage.pace.leap();
+                viewer.scale_factor = scale_factor;
+                viewer.pace.leap();
             }
             WindowEvent::Focused(false) => self.controls.forget(),
             WindowEvent::ModifiersChanged(modifiers) => {
@@ -117,10 +117,10 @@ impl App {
             WindowEvent::CursorMoved { position, .. } => {
                 let at = [position.x / factor, position.y / factor];
                 if self.wiping {
-                    stage.move_wipe(position.x);
+                    viewer.move_wipe(position.x);
                     self.controls.place(at);
-                } else if self.controls.drag(at, f64::from(stage.size[1]) / factor, &mut stage.view) {
-                    stage.pace.touch(now);
+                } else if self.controls.drag(at, f64::from(viewer.size[1]) / factor, &mut viewer.view) {
+                    viewer.pace.touch(now);
                 }
             }
             WindowEvent::MouseInput { state, button, .. } => self.button(state, button)?,
@@ -129,8 +129,8 @@ impl App {
                     MouseScrollDelta::LineDelta(_, lines) => -f64::from(lines) * NOTCH,
                     MouseScrollDelta::PixelDelta(position) => -position.y / factor,
                 };
-                self.controls.wheel(pixels, &mut stage.view);
-                stage.pace.touch(now);
+                self.controls.wheel(pixels, &mut viewer.view);
+                viewer.pace.touch(now);
             }
             _ => {}
         }
@@ -139,7 +139,7 @@ impl App {
 
     /// Handles a pressed or released key. True if the window should close.
     fn key(&mut self, event: &KeyEvent) -> Result<bool> {
-        let Some(stage) = &mut self.stage else { return Ok(false) };
+        let Some(viewer) = &mut self.viewer else { return Ok(false) };
         let PhysicalKey::Code(code) = event.physical_key else { return Ok(false) };
         let code = format!("{code:?}");
         let action = keys::action(&code);
@@ -157,8 +157,8 @@ impl App {
             return Ok(false);
         }
         if matches!(&event.logical_key, Key::Character(text) if text == "?") {
-            stage.help = !stage.help;
-            stage.pace.leap();
+            viewer.help = !viewer.help;
+            viewer.pace.leap();
             return Ok(false);
         }
         if code == "KeyF"
@@ -172,29 +172,29 @@ impl App {
         let Some(action) = action else { return Ok(false) };
         if steers {
             let now = Instant::now();
-            self.controls.hold(action, now, &mut stage.view);
-            stage.pace.touch(now);
+            self.controls.hold(action, now, &mut viewer.view);
+            viewer.pace.touch(now);
             return Ok(false);
         }
         if action == Action::FlyMode {
             self.controls.flying = !self.controls.flying;
-            stage.say(format!("flying: {}", if self.controls.flying { "on" } else { "off" }));
+            viewer.say(format!("flying: {}", if self.controls.flying { "on" } else { "off" }));
         }
-        stage.act(action)
+        viewer.act(action)
     }
 
     fn button(&mut self, state: ElementState, button: MouseButton) -> Result<()> {
-        let Some(stage) = &mut self.stage else { return Ok(()) };
+        let Some(viewer) = &mut self.viewer else { return Ok(()) };
         let button = match button {
             MouseButton::Left => Button::Left,
             MouseButton::Middle => Button::Middle,
             MouseButton::Right => Button::Right,
             _ => return Ok(()),
         };
-        let factor = stage.scale_factor;
+        let factor = viewer.scale_factor;
         if state == ElementState::Pressed {
             let at = self.controls.pointer()[0] * factor;
-            let near = stage.wipe().is_some_and(|wipe| (wipe - at).abs() < GRASP * factor);
+            let near = viewer.wipe().is_some_and(|wipe| (wipe - at).abs() < GRASP * factor);
             self.wiping = near && button == Button::Left;
             if !self.wiping {
                 self.controls.press(button);
@@ -208,40 +208,40 @@ impl App {
         let moved = self.controls.is_busy();
         let click = self.controls.release(button, Instant::now());
         if moved {
-            stage.pace.touch(Instant::now());
+            viewer.pace.touch(Instant::now());
         }
         match click {
-            Some(Click::Single(at)) if stage.inspecting || self.controls.modifiers.alt => {
-                stage.pick(at.map(|v| v * factor))
+            Some(Click::Single(at)) if viewer.inspecting || self.controls.modifiers.alt => {
+                viewer.pick(at.map(|v| v * factor))
             }
-            Some(Click::Double(at)) => stage.set_pivot(at.map(|v| v * factor)),
+            Some(Click::Double(at)) => viewer.set_pivot(at.map(|v| v * factor)),
             _ => Ok(()),
         }
     }
 
     /// Runs before the loop sleeps: steers, requests a frame, sets the sleep time.
     fn rest(&mut self, events: &ActiveEventLoop) -> Result<()> {
-        let (Some(stage), Some(present), Some(window)) = (&mut self.stage, &self.present, &self.window)
+        let (Some(viewer), Some(present), Some(window)) = (&mut self.viewer, &self.present, &self.window)
         else {
             return Ok(());
         };
         let now = Instant::now();
-        if self.controls.tick(now, &mut stage.view) {
-            stage.pace.touch(now);
+        if self.controls.tick(now, &mut viewer.view) {
+            viewer.pace.touch(now);
         }
-        stage.poll(present)?;
-        let due = stage.due(now, self.controls.is_busy()) != Due::Nothing;
+        viewer.poll(present)?;
+        let is_due = viewer.next_frame(now, self.controls.is_busy()) != NextFrame::Nothing;
         let early = self.not_before.filter(|then| *then > now);
         let mut wake = now + IDLE;
-        match (due, early) {
+        match (is_due, early) {
             (true, None) => window.request_redraw(),
             (true, Some(then)) => wake = then,
             _ => {}
         }
-        if stage.is_waiting() {
+        if viewer.is_waiting() {
             wake = wake.min(now + WORKING);
         }
-        if let Some(then) = stage.pace.wakes() {
+        if let Some(then) = viewer.pace.wakes() {
             wake = wake.min(then.max(now + WORKING));
         }
         events.set_control_flow(ControlFlow::WaitUntil(wake));
@@ -273,11 +273,11 @@ impl ApplicationHandler<Option<String>> for App {
 
     /// A tile of a tree has arrived, or there is a message.
     fn user_event(&mut self, _: &ActiveEventLoop, problem: Option<String>) {
-        let Some(stage) = &mut self.stage else { return };
+        let Some(viewer) = &mut self.viewer else { return };
         if let Some(problem) = problem {
-            stage.say(problem);
+            viewer.say(problem);
         }
-        stage.pace.renew(self.controls.is_busy());
+        viewer.pace.renew(self.controls.is_busy());
     }
 
     fn about_to_wait(&mut self, events: &ActiveEventLoop) {

@@ -26,7 +26,7 @@ impl Comparison {
             return;
         }
         let (scale, corner) = Navigation::frame(lens, size);
-        let side = |length: u32, most: u32| ((f64::from(length) * scale).round() as u32).clamp(1, most);
+        let side = |length: u32, max: u32| ((f64::from(length) * scale).round() as u32).clamp(1, max);
         let scaled = [side(lens.width, size[0]), side(lens.height, size[1])];
         let Ok(photo) = self.photo.clone().scaled_to(scaled[0], scaled[1]) else { return };
         let columns = (f64::from(photo.width) * share) as u32;

@@ -16,7 +16,7 @@ const DOUBLE: Duration = Duration::from_millis(400);
 const DOUBLE_DISTANCE: f64 = 12.0;
 /// Pixels of a wheel's notch, as in browsers, and the most that counts at once.
 pub const NOTCH: f64 = 100.0;
-const MOST_WHEEL: f64 = 240.0;
+const MAX_WHEEL: f64 = 240.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Button {
@@ -125,7 +125,7 @@ impl Controls {
 
     /// Turns the wheel by pixels; down is positive.
     pub fn wheel(&self, pixels: f64, view: &mut Navigation) {
-        let amount = pixels.clamp(-MOST_WHEEL, MOST_WHEEL);
+        let amount = pixels.clamp(-MAX_WHEEL, MAX_WHEEL);
         match self.flying {
             true => view.fly(DVec3::Z * (-amount * 0.001 * view.radius)),
             false => view.dolly((amount * 0.0012).exp()),

@@ -26,7 +26,7 @@ pub enum Action {
     /// Previous (-1) or next (1) photo.
     Photo(isize),
     /// Switches a photo's exposure and lens effects on or off in its view.
-    PhotoLight,
+    PhotoAppearance,
     /// Closes what is open; if nothing is, the window.
     Close,
 }
@@ -67,7 +67,7 @@ pub const KEYS: [(&str, Action); 36] = [
     ("Home", Action::Home),
     ("BracketLeft", Action::Photo(-1)),
     ("BracketRight", Action::Photo(1)),
-    ("KeyL", Action::PhotoLight),
+    ("KeyL", Action::PhotoAppearance),
     ("Escape", Action::Close),
 ];
 

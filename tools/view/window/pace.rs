@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Smallest side of a coarse frame, pixels.
-const LEAST_SIDE: f64 = 16.0;
+const MIN_SIDE: f64 = 16.0;
 /// Frame time to reach while the view moves, ms.
 const GOAL: f64 = 55.0;
 /// Sides of coarse frames, as shares of the window's.
@@ -17,7 +17,7 @@ const RATE_FRAMES: usize = 40;
 
 /// Next frame to draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Due {
+pub enum NextFrame {
     Nothing,
     /// The view moves: draw at this share of the window's size.
     Moving(f64),
@@ -25,11 +25,11 @@ pub enum Due {
     Still,
 }
 
-impl Due {
+impl NextFrame {
     /// Sides of the frame in a window of this size, pixels.
     pub fn sides(self, window: [u32; 2]) -> [u32; 2] {
-        let share = if let Due::Moving(share) = self { share } else { 1.0 };
-        window.map(f64::from).map(|side| (side * share).round().max(LEAST_SIDE).min(side) as u32)
+        let share = if let NextFrame::Moving(share) = self { share } else { 1.0 };
+        window.map(f64::from).map(|side| (side * share).round().max(MIN_SIDE).min(side) as u32)
     }
 }
 
@@ -66,11 +66,11 @@ impl Pace {
     }
 
     /// Returns the next frame to draw, without marking it as drawn.
-    pub fn next(&self, now: Instant, busy: bool) -> Due {
+    pub fn next(&self, now: Instant, busy: bool) -> NextFrame {
         match (self.dirty, self.sharp) {
-            (true, _) => Due::Moving(SCALES[self.level]),
-            (false, false) if self.rests(now, busy) => Due::Still,
-            _ => Due::Nothing,
+            (true, _) => NextFrame::Moving(SCALES[self.level]),
+            (false, false) if self.rests(now, busy) => NextFrame::Still,
+            _ => NextFrame::Nothing,
         }
     }
 
@@ -80,10 +80,10 @@ impl Pace {
     }
 
     /// Records that a frame was shown.
-    pub fn drawn(&mut self, due: Due, now: Instant) {
-        match due {
+    pub fn drawn(&mut self, frame: NextFrame, now: Instant) {
+        match frame {
             // A full-size frame is as sharp as one at rest.
-            Due::Moving(scale) => (self.dirty, self.sharp) = (false, scale == 1.0),
+            NextFrame::Moving(scale) => (self.dirty, self.sharp) = (false, scale == 1.0),
             _ => (self.dirty, self.sharp) = (false, true),
         }
         self.shown.push_back(now);

@@ -1,8 +1,8 @@
 //! One frame of the window: splats or a finished picture, with text over it, all in the frame's command buffer.
 
-use super::super::draw::Painter;
-use super::super::streamed::Scenery;
-use super::present::{CANVAS, FRAMES_IN_FLIGHT, Present, Turn};
+use super::super::draw::ViewedScene;
+use super::super::streamed::SceneRenderer;
+use super::present::{BegunFrame, CANVAS, FRAMES_IN_FLIGHT, Present};
 use super::text::{Overlay, Text};
 use ashsplat::ash::vk;
 use ashsplat::passes::compose::{Compose, Region};
@@ -46,7 +46,7 @@ pub enum Content<'a> {
 }
 
 /// Objects of one frame in flight.
-struct Sheet {
+struct SlotObjects {
     /// Recordings of a finished picture, and of the overlays.
     records: [RecordSlot; 2],
     photo: Option<Buffer>,
@@ -55,7 +55,7 @@ struct Sheet {
 
 /// Draws frames.
 pub struct Picture {
-    scenery: Scenery,
+    scene: SceneRenderer,
     context: Context,
     /// Scenes that the next frame draws.
     scenes: Vec<DeviceScene>,
@@ -66,39 +66,39 @@ pub struct Picture {
     canvas: Option<Image>,
     /// Image of a coarser frame.
     coarse: Option<Image>,
-    sheets: Vec<Sheet>,
+    slot_objects: Vec<SlotObjects>,
 }
 
 impl Picture {
-    /// Draws what the scenery shows, if anything.
-    pub fn new(scenery: Scenery, sh_degree: u32) -> Result<Picture> {
-        let context = scenery.renderer.context().clone();
-        let mut sheets = Vec::new();
+    /// Draws the scene that is shown, if any.
+    pub fn new(scene: SceneRenderer, sh_degree: u32) -> Result<Picture> {
+        let context = scene.renderer.context().clone();
+        let mut slot_objects = Vec::new();
         for _ in 0..FRAMES_IN_FLIGHT {
             let records = [RecordSlot::new(&context, DISPATCHES)?, RecordSlot::new(&context, DISPATCHES)?];
-            sheets.push(Sheet { records, photo: None, overlays: Vec::new() });
+            slot_objects.push(SlotObjects { records, photo: None, overlays: Vec::new() });
         }
         Ok(Picture {
             compose: Compose::new(&context)?,
-            scenes: scenery.renderer.scene().into_iter().collect(),
+            scenes: scene.renderer.scene().into_iter().collect(),
             sh_degree,
             reserved: None,
             canvas: None,
             coarse: None,
-            sheets,
+            slot_objects,
             context,
-            scenery,
+            scene,
         })
     }
 
-    /// Painter for pictures that are read back.
-    pub fn painter(&mut self) -> &mut dyn Painter {
-        &mut self.scenery
+    /// The scene, for pictures that are read back.
+    pub fn scene(&mut self) -> &mut dyn ViewedScene {
+        &mut self.scene
     }
 
     /// How complete the last picture of a tree of tiles is.
     pub fn tree(&self) -> Option<&Value> {
-        self.scenery.tree()
+        self.scene.tree()
     }
 
     /// True if there is a scene or a tree of tiles, in view or not.
@@ -116,10 +116,10 @@ impl Picture {
     pub fn prepare(&mut self, present: &Present, camera: &Camera, settings: &RenderSettings) -> Result<()> {
         loop {
             if self.tree().is_some() {
-                self.scenes = self.scenery.scenes(camera)?;
+                self.scenes = self.scene.scenes(camera)?;
             }
             match self.reserve(present, camera, settings) {
-                Err(error) if self.scenery.make_room(&error) => {}
+                Err(error) if self.scene.free_memory(&error) => {}
                 done => return done,
             }
         }
@@ -133,17 +133,17 @@ impl Picture {
             return Ok(());
         }
         // For a tree, reserves the whole budget: later tiles fit, and no frame waits for memory.
-        let [gaussians, scenes] = match self.scenery.reach() {
-            Some(reach) => reach.map(|most| u32::try_from(most).unwrap_or(u32::MAX)),
+        let [gaussians, scenes] = match self.scene.capacity() {
+            Some(capacity) => capacity.map(|max| u32::try_from(max).unwrap_or(u32::MAX)),
             None => [scene.count(), 1],
         };
-        let wanted = Reservation {
+        let requested = Reservation {
             slots: FRAMES_IN_FLIGHT,
             // A tree may have more tiles than a frame can draw.
             scenes: scenes.min(Reservation::MAX_SCENES),
             images_only: true,
-            half_sh: self.scenery.stored == ShStorage::Half,
-            byte_sh: self.scenery.stored == ShStorage::Bytes,
+            half_sh: self.scene.stored == ShStorage::Half,
+            byte_sh: self.scene.stored == ShStorage::Bytes,
             blend_passes: before.map_or(1, |old| old.blend_passes),
             ..Reservation::new(gaussians, self.sh_degree, size[0], size[1])
         };
@@ -151,27 +151,27 @@ impl Picture {
         self.reserved = None;
         let placed = [Placed::from(scene)];
         let frame = RecordedFrame::new(&placed, camera, settings);
-        self.reserved = Some(self.scenery.renderer.reserve_for(&wanted, &frame)?);
+        self.reserved = Some(self.scene.renderer.reserve_for(&requested, &frame)?);
         Ok(())
     }
 
     /// Reads the report of a finished frame's splats. If they did not fit, the next frame gets more memory.
     pub fn report(&mut self, present: &Present, slot: u32) -> Result<Option<SlotReport>> {
         let Some(reserved) = self.reserved else { return Ok(None) };
-        let report = self.scenery.renderer.slot_report(slot)?;
+        let report = self.scene.renderer.slot_report(slot)?;
         let grown = report.as_ref().filter(|report| report.overflow).map(|report| reserved.grown(report));
         if let Some(grown) = grown.filter(|grown| *grown != reserved) {
             // Frames in flight keep their memory.
-            if let Err(error) = self.scenery.renderer.grow(&grown) {
+            if let Err(error) = self.scene.renderer.grow(&grown) {
                 if !matches!(error, Error::TooLarge { .. } | Error::Vulkan { .. }) {
                     return Err(error);
                 }
                 // Old and new memory do not fit at the same time.
                 present.idle()?;
                 self.reserved = None;
-                if let Err(error) = self.scenery.renderer.reserve(&grown) {
+                if let Err(error) = self.scene.renderer.reserve(&grown) {
                     // The next frame draws fewer tiles.
-                    return if self.scenery.make_room(&error) { Ok(report) } else { Err(error) };
+                    return if self.scene.free_memory(&error) { Ok(report) } else { Err(error) };
                 }
             }
             self.reserved = Some(grown);
@@ -195,30 +195,30 @@ impl Picture {
             true => None,
             false => Some(image(&self.context, "coarse canvas", &mut self.coarse, small)?),
         };
-        let Some(turn) = present.begin()? else { return Ok(None) };
-        let begun = Instant::now();
+        let Some(begun) = present.begin()? else { return Ok(None) };
+        let start = Instant::now();
         let target = coarse.as_ref().unwrap_or(&canvas);
-        let drawn = self.record(present, &turn, target, camera, content)?;
+        let drawn = self.record(present, &begun, target, camera, content)?;
         let drawn = match &coarse {
-            Some(coarse) => present.enlarge(&turn, [coarse, &canvas], [drawn, USED]),
+            Some(coarse) => present.enlarge(&begun, [coarse, &canvas], [drawn, USED]),
             None => drawn,
         };
-        let drawn = self.record_overlays(present, &turn, &canvas, drawn, overlays)?;
-        let slot = turn.slot();
-        present.finish(turn, &canvas, drawn)?;
-        Ok(Some((slot, begun)))
+        let drawn = self.record_overlays(present, &begun, &canvas, drawn, overlays)?;
+        let slot = begun.slot();
+        present.finish(begun, &canvas, drawn)?;
+        Ok(Some((slot, start)))
     }
 
     fn record(
         &mut self,
         present: &Present,
-        turn: &Turn,
+        begun: &BegunFrame,
         target: &Image,
         camera: &Camera,
         content: &Content<'_>,
     ) -> Result<ImageState> {
         match content {
-            Content::Photo(photo) => self.record_photo(present, turn, target, photo),
+            Content::Photo(photo) => self.record_photo(present, begun, target, photo),
             Content::Splats(settings) if self.is_in_view() => {
                 let scenes: Vec<Placed<'_>> = self.scenes.iter().map(Placed::from).collect();
                 let to = HostImage { image: target, from: USED, offset: [0; 2] };
@@ -230,11 +230,11 @@ impl Picture {
                     },
                     ..RecordedFrame::new(&scenes, camera, settings)
                 };
-                let release = self.scenery.renderer.record(present.commands(turn)?, turn.slot(), &frame)?;
+                let release = self.scene.renderer.record(present.commands(begun)?, begun.slot(), &frame)?;
                 Ok(release.color.unwrap_or(USED))
             }
             Content::Splats(RenderSettings { background, .. }) | Content::Nothing(background) => {
-                Ok(present.clear(turn, target, USED, *background))
+                Ok(present.clear(begun, target, USED, *background))
             }
         }
     }
@@ -242,16 +242,16 @@ impl Picture {
     fn record_photo(
         &mut self,
         present: &Present,
-        turn: &Turn,
+        begun: &BegunFrame,
         target: &Image,
         photo: &Photo,
     ) -> Result<ImageState> {
-        let sheet = &mut self.sheets[turn.slot() as usize];
+        let objects = &mut self.slot_objects[begun.slot() as usize];
         let texels: Vec<[u8; 4]> =
             photo.rgb.chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2], u8::MAX]).collect();
-        let buffer = filled(&self.context, &mut sheet.photo, bytemuck::cast_slice(&texels))?;
-        let record = &mut sheet.records[0];
-        let mut recorder = record.begin(present.commands(turn)?, "finished picture")?;
+        let buffer = filled(&self.context, &mut objects.photo, bytemuck::cast_slice(&texels))?;
+        let record = &mut objects.records[0];
+        let mut recorder = record.begin(present.commands(begun)?, "finished picture")?;
         recorder.copy_to_image(&buffer, target);
         record.end(recorder)?;
         Ok(READY)
@@ -260,12 +260,12 @@ impl Picture {
     fn record_overlays(
         &mut self,
         present: &Present,
-        turn: &Turn,
+        begun: &BegunFrame,
         canvas: &Image,
         from: ImageState,
         overlays: &[Overlay<'_>],
     ) -> Result<ImageState> {
-        let Sheet { records, overlays: buffers, .. } = &mut self.sheets[turn.slot() as usize];
+        let SlotObjects { records, overlays: buffers, .. } = &mut self.slot_objects[begun.slot() as usize];
         let fits = |overlay: &&Overlay<'_>| {
             let Text { width, height, .. } = *overlay.picture;
             let ends = [overlay.corner[0] + width, overlay.corner[1] + height];
@@ -275,7 +275,7 @@ impl Picture {
         if shown.is_empty() {
             return Ok(from);
         }
-        let mut recorder = records[1].begin(present.commands(turn)?, "text")?;
+        let mut recorder = records[1].begin(present.commands(begun)?, "text")?;
         let mut state = from;
         buffers.resize(shown.len(), None);
         for (overlay, buffer) in shown.iter().zip(buffers) {

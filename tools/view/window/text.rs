@@ -33,14 +33,14 @@ fn dots(letter: char) -> [u8; 8] {
     found.or_else(|| GREEK_FONTS.get(similar)).or_else(|| BASIC_FONTS.get('?')).unwrap_or_default()
 }
 
-/// Draws lines of text, `scale` pixels per dot, and cuts off what exceeds `most` pixels.
-pub fn text(lines: &[String], scale: u32, most: [u32; 2]) -> Text {
+/// Draws lines of text, `scale` pixels per dot, and cuts off what exceeds `max` pixels.
+pub fn text(lines: &[String], scale: u32, max: [u32; 2]) -> Text {
     let columns = lines.iter().map(|line| line.chars().count() as u32).max().unwrap_or(0);
     if columns == 0 {
         return Text::default();
     }
-    let width = (columns.saturating_mul(LETTER) + 2 * MARGIN).saturating_mul(scale).min(most[0]);
-    let height = ((lines.len() as u32).saturating_mul(LINE) + 2 * MARGIN).saturating_mul(scale).min(most[1]);
+    let width = (columns.saturating_mul(LETTER) + 2 * MARGIN).saturating_mul(scale).min(max[0]);
+    let height = ((lines.len() as u32).saturating_mul(LINE) + 2 * MARGIN).saturating_mul(scale).min(max[1]);
     let mut texels = vec![GROUND; width as usize * height as usize];
     for (row, line) in (0..).zip(lines) {
         for (column, letter) in (0..).zip(line.chars()) {

@@ -13,7 +13,7 @@ const WIDEST: usize = 64;
 
 /// Figures of a frame.
 #[derive(Clone, Debug, Default)]
-pub struct Measured {
+pub struct Measurements {
     /// Size of the picture, pixels.
     pub size: [u32; 2],
     /// Time from its start, or from the end of the previous frame if later, to its end, ms.
@@ -24,7 +24,7 @@ pub struct Measured {
 }
 
 /// Permanent text: scene, frame, stages, device.
-pub fn status(scene: &str, device: &str, mode: Mode, rate: f64, frame: &Measured) -> Vec<String> {
+pub fn status(scene: &str, device: &str, mode: Mode, rate: f64, frame: &Measurements) -> Vec<String> {
     let [width, height] = frame.size;
     let rate = if rate > 0.0 { format!(" · {rate:.1} frames/s") } else { String::new() };
     let mut lines =
@@ -35,9 +35,9 @@ pub fn status(scene: &str, device: &str, mode: Mode, rate: f64, frame: &Measured
             [visible, gaussians, instances].map(|count| thousands(u64::from(*count)));
         lines.push(format!("{visible} of {all} Gaussians visible, {instances} instances"));
     }
-    let stages: Vec<_> = scopes.iter().filter(|stage| stage.depth == 0).collect();
+    let stages: Vec<_> = scopes.iter().filter(|viewer| viewer.depth == 0).collect();
     if !stages.is_empty() {
-        let sum: f64 = stages.iter().map(|stage| stage.nanoseconds).sum();
+        let sum: f64 = stages.iter().map(|viewer| viewer.nanoseconds).sum();
         lines.push(format!("{:16}{:8.2} ms", "device", sum * 1e-6));
         lines.extend(stages.iter().map(|s| format!("  {:14}{:8.2} ms", s.name, s.nanoseconds * 1e-6)));
     }
@@ -71,10 +71,10 @@ pub fn photo_appearance(on: bool, known: bool) -> &'static str {
 }
 
 /// Message that no display can be opened: winit's words without the place in its sources.
-pub fn no_display(said: &str) -> String {
-    let place = said.starts_with("os error at ").then(|| said.split_once(": ")).flatten();
-    let said = place.map_or(said, |(_, rest)| rest).trim_end_matches('.');
-    format!("no display can be opened ({said})")
+pub fn no_display(message: &str) -> String {
+    let place = message.starts_with("os error at ").then(|| message.split_once(": ")).flatten();
+    let message = place.map_or(message, |(_, rest)| rest).trim_end_matches('.');
+    format!("no display can be opened ({message})")
 }
 
 /// Breaks a text into lines of bounded width.

@@ -3,7 +3,7 @@
 
 use arbitrary::Arbitrary;
 use ashsplat_files::{Dataset, DatasetOptions, Gallery, HostMemory, Photo, PhotoFileFormat, Progress};
-use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, patch, spoil};
+use ashsplat_fuzz::hostile::{Change, Filling, MAX_BYTES, Number, Patch, patch, spoil};
 use ashsplat_fuzz::{folder, in_one_line, within};
 use libfuzzer_sys::fuzz_target;
 use serde_json::json;
@@ -69,7 +69,7 @@ impl Content {
                 patch(&mut photo, patches);
                 photo
             }
-            Self::Filling(filling) => filling.bytes(MOST_BYTES),
+            Self::Filling(filling) => filling.bytes(MAX_BYTES),
             Self::Cameras { count, model, side } => {
                 let mut bytes = count.of(1).to_le_bytes().to_vec();
                 bytes.extend(1u32.to_le_bytes());

@@ -3,7 +3,7 @@
 
 use arbitrary::Arbitrary;
 use ashsplat_files::splats::{self, WriteOptions};
-use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, patch, spoil};
+use ashsplat_fuzz::hostile::{Change, Filling, MAX_BYTES, Number, Patch, patch, spoil};
 use ashsplat_fuzz::{check_gaussians, folder, gaussians};
 use libfuzzer_sys::fuzz_target;
 use serde_json::Value;
@@ -77,11 +77,11 @@ impl Gltf {
         }
         text.resize(text.len().next_multiple_of(4), b' ');
         let buffer = &honest[20 + length + 8..];
-        let mut buffer = self.buffer.map_or(buffer.to_vec(), |filling| filling.bytes(MOST_BYTES));
+        let mut buffer = self.buffer.map_or(buffer.to_vec(), |filling| filling.bytes(MAX_BYTES));
         buffer.resize(buffer.len().next_multiple_of(4), 0);
         let mut chunks = vec![(*b"JSON", text), (*b"BIN\0", buffer)];
         for (kind, filling) in self.chunks.iter().take(3) {
-            let mut bytes = filling.bytes(MOST_BYTES / 4);
+            let mut bytes = filling.bytes(MAX_BYTES / 4);
             bytes.resize(bytes.len().next_multiple_of(4), 0);
             chunks.push(([*b"JSON", *b"BIN\0", *b"more"][usize::from(kind % 3)], bytes));
         }

@@ -5,7 +5,7 @@
 use arbitrary::Arbitrary;
 use ashsplat_files::images::{DepthMap, photo_size};
 use ashsplat_files::{HostMemory, Photo, PhotoFileFormat};
-use ashsplat_fuzz::hostile::{Filling, MOST_BYTES, Number, Patch, patch};
+use ashsplat_fuzz::hostile::{Filling, MAX_BYTES, Number, Patch, patch};
 use ashsplat_fuzz::{folder, in_one_line, within};
 use flate2::{Compression, write::ZlibEncoder};
 use image::codecs::jpeg::JpegEncoder;
@@ -65,12 +65,12 @@ impl Png {
         header.extend([depth, color, 0, 0, u8::from(self.interlaced)]);
         chunk(&mut file, b"IHDR", &header);
         for (kind, filling, pack) in self.others.iter().take(6) {
-            let bytes = filling.bytes(MOST_BYTES / 16);
+            let bytes = filling.bytes(MAX_BYTES / 16);
             let bytes = if *pack { [b"name\0\0", &packed(&bytes)[..]].concat() } else { bytes };
             chunk(&mut file, KINDS[usize::from(*kind) % KINDS.len()], &bytes);
         }
         let row = 1 + (width * channels * u64::from(depth)).div_ceil(8);
-        let length = self.data_bytes.of(row * height).min(self.data.most_packed() as u64) as usize;
+        let length = self.data_bytes.of(row * height).min(self.data.max_packed() as u64) as usize;
         let mut rows = self.data.exactly(length);
         // Valid filters, except for the seeds that choose others.
         rows.iter_mut().step_by(row as usize).for_each(|filter| *filter %= 6);

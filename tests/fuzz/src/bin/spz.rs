@@ -47,7 +47,7 @@ impl Spz {
                 unpacked.extend(version.to_le_bytes());
                 unpacked.extend((claimed.of(count) as u32).to_le_bytes());
                 unpacked.extend([degree, fractional_bits % 32, *flags, 0]);
-                unpacked.extend(data.exactly(length.of(count * row).min(data.most_packed() as u64) as usize));
+                unpacked.extend(data.exactly(length.of(count * row).min(data.max_packed() as u64) as usize));
                 let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
                 packed.write_all(&unpacked).expect("packed");
                 let mut file = packed.finish().expect("packed");

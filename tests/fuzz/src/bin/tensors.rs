@@ -4,7 +4,7 @@
 use arbitrary::Arbitrary;
 use ashsplat::train::checkpoint::Checkpoint;
 use ashsplat_files::CheckpointFile;
-use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, safetensors};
+use ashsplat_fuzz::hostile::{Change, Filling, MAX_BYTES, Number, Patch, safetensors};
 use ashsplat_fuzz::{checkpoint, folder, gaussians, in_one_line, within};
 use libfuzzer_sys::fuzz_target;
 use serde_json::Value;
@@ -34,7 +34,7 @@ impl Tensors {
         let honest = std::fs::read(&*FILE).expect("there");
         let length = u64::from_le_bytes(honest[..8].try_into().expect("eight")) as usize;
         let header: Value = serde_json::from_slice(&honest[8..8 + length]).expect("JSON");
-        let more = self.more.map_or(Vec::new(), |filling| filling.bytes(MOST_BYTES));
+        let more = self.more.map_or(Vec::new(), |filling| filling.bytes(MAX_BYTES));
         let tensors = [&honest[8 + length..], &more].concat();
         safetensors((header, &self.changes), &tensors, (self.header, self.cut, &self.patches))
     }

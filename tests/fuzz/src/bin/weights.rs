@@ -4,7 +4,7 @@
 use arbitrary::Arbitrary;
 use ashsplat::passes::lpips::Network;
 use ashsplat_files::{HostMemory, lpips_weights};
-use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, safetensors};
+use ashsplat_fuzz::hostile::{Change, Filling, MAX_BYTES, Number, Patch, safetensors};
 use ashsplat_fuzz::{folder, in_one_line, within};
 use libfuzzer_sys::fuzz_target;
 use serde_json::{Map, Value, json};
@@ -37,7 +37,7 @@ impl File {
         let (mut header, mut end) = (Map::new(), 0);
         let mut tensor = |name: String, shape: &[u32]| {
             let bytes = shape.iter().fold(4, |bytes, &side| bytes * side as usize);
-            if end + bytes > MOST_BYTES {
+            if end + bytes > MAX_BYTES {
                 return;
             }
             let kinds = ["I32", "F16", "F64", "BOOL", "none"];

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use std::time::Instant;
 
 /// Largest number of points of a curve. Beyond it, every second point is dropped.
-const MOST_POINTS: usize = 1024;
+const MAX_POINTS: usize = 1024;
 /// Weight of the newest loss in the running mean.
 const LOSS_WEIGHT: f64 = 0.05;
 /// Seconds over which the speed is measured.
@@ -89,12 +89,12 @@ impl Curves {
 
     fn thin(&mut self) {
         for curve in [&mut self.psnr, &mut self.rate] {
-            if curve.len() > MOST_POINTS {
+            if curve.len() > MAX_POINTS {
                 halve(curve);
                 self.thinned_at = self.iteration;
             }
         }
-        if self.loss.len() > MOST_POINTS {
+        if self.loss.len() > MAX_POINTS {
             self.stride *= 2;
             halve(&mut self.loss);
             halve(&mut self.gaussians);
@@ -155,7 +155,7 @@ mod tests {
         (1..=100_000).for_each(|iteration| curves.step(&step(iteration)));
         let status = curves.status(0);
         let points = status["points"]["loss"].as_array().expect("points");
-        assert!((MOST_POINTS / 2..=MOST_POINTS + 1).contains(&points.len()), "{}", points.len());
+        assert!((MAX_POINTS / 2..=MAX_POINTS + 1).contains(&points.len()), "{}", points.len());
         assert_eq!(status["points"]["fresh"], true);
         let at = |index: usize| points[index][0].as_u64().expect("an iteration");
         assert!(at(0) < 1000 && at(points.len() - 1) > 99_000);

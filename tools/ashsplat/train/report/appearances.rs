@@ -35,12 +35,12 @@ fn exposures(out: &mut String, appearances: &Appearances) {
         appearances.exposures.iter().map(|(name, exposure)| (name.as_str(), gains(exposure))).collect();
     let mean = |gains: &[f32; 3]| gains.iter().sum::<f32>() / 3.0;
     all.sort_by(|(_, a), (_, b)| mean(a).total_cmp(&mean(b)));
-    let most = all.iter().map(|(_, gains)| mean(gains)).fold(1.0, f32::max);
+    let max = all.iter().map(|(_, gains)| mean(gains)).fold(1.0, f32::max);
     let row = |(name, gains): &(&str, [f32; 3])| {
         let mean = mean(gains);
         let mut cells = vec![Cell::Name((*name).to_owned())];
         cells.extend(numbers(gains).chain(numbers(&[mean])));
-        cells.push(Cell::Bar((mean / most).max(0.0).into()));
+        cells.push(Cell::Bar((mean / max).max(0.0).into()));
         cells
     };
     let rows: Vec<Vec<Cell>> = all.iter().map(row).collect();

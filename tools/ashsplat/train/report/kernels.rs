@@ -99,7 +99,7 @@ impl KernelTimes {
         }
         rows.sort_by(|a, b| b.1.total_cmp(&a.1));
         let all: f64 = rows.iter().map(|row| row.1).sum();
-        let most = rows[0].1.max(1e-9);
+        let max = rows[0].1.max(1e-9);
         let n = f64::from(self.timed.max(1));
         let row = |(kernel, us): &(&Kernel, f64)| {
             vec![
@@ -108,7 +108,7 @@ impl KernelTimes {
                 Cell::number(f64::from(kernel.calls) / n, 1),
                 Cell::number(*us, 1),
                 Cell::Number(format!("{:.1} %", 100.0 * us / all.max(1e-9))),
-                Cell::Bar(us / most),
+                Cell::Bar(us / max),
             ]
         };
         let none = || Cell::Number(String::new());

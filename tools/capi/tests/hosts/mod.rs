@@ -44,7 +44,7 @@ pub fn host_in_c(name: &str, trial: &str, arguments: &[&Path]) -> String {
 }
 
 /// Compiles and runs a program in C that includes `included.c` with this text, under validation if the layer is installed.
-pub fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
+pub fn host_output(name: &str, included: &str, arguments: &[&Path]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join(name);
     std::fs::write(folder.path().join("included.c"), included).expect("written");
@@ -67,7 +67,7 @@ pub const MESSAGES: [&str; 2] = ["Validation Error", "Validation Warning"];
 
 /// Returns the output of a host in C, which must be free of validation messages.
 pub fn host_with(name: &str, included: &str, arguments: &[&Path]) -> String {
-    let said = host_said(name, included, arguments);
+    let said = host_output(name, included, arguments);
     assert!(!MESSAGES.iter().any(|message| said.contains(message)), "{said}");
     said
 }

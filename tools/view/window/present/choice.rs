@@ -16,10 +16,10 @@ pub fn extent(can: &vk::SurfaceCapabilitiesKHR, [width, height]: [u32; 2]) -> vk
     if can.current_extent.width != u32::MAX {
         return can.current_extent;
     }
-    let (least, most) = (can.min_image_extent, can.max_image_extent);
+    let (min, max) = (can.min_image_extent, can.max_image_extent);
     vk::Extent2D {
-        width: width.min(most.width).max(least.width.min(width)),
-        height: height.min(most.height).max(least.height.min(height)),
+        width: width.min(max.width).max(min.width.min(width)),
+        height: height.min(max.height).max(min.height.min(height)),
     }
 }
 

@@ -59,14 +59,14 @@ struct InFlight {
 }
 
 /// A frame being recorded.
-pub struct Turn {
+pub struct BegunFrame {
     /// Index among the frames in flight.
     slot: u32,
     /// Index among the swapchain's images.
     image: u32,
 }
 
-impl Turn {
+impl BegunFrame {
     pub fn slot(&self) -> u32 {
         self.slot
     }
@@ -232,7 +232,7 @@ impl Present {
     }
 
     /// Waits for the next slot and begins a frame. None if no image is available.
-    pub fn begin(&mut self) -> Result<Option<Turn>> {
+    pub fn begin(&mut self) -> Result<Option<BegunFrame>> {
         let slot = self.wait()?;
         let Some(swapchain) = &self.swapchain else { return Ok(None) };
         let frame = &self.frames[self.next];
@@ -263,39 +263,39 @@ impl Present {
                 .reset_command_pool(frame.pool, vk::CommandPoolResetFlags::empty())
                 .and_then(|()| self.device.begin_command_buffer(frame.commands, &begin))
                 .map_err(failed("vkBeginCommandBuffer"))?;
-            Ok(Some(Turn { slot, image }))
+            Ok(Some(BegunFrame { slot, image }))
         }
     }
 
     /// The frame's command buffer, for the engine.
-    pub fn commands(&self, turn: &Turn) -> Result<ForeignCommands> {
-        let commands = self.frames[turn.slot as usize].commands;
+    pub fn commands(&self, begun: &BegunFrame) -> Result<ForeignCommands> {
+        let commands = self.frames[begun.slot as usize].commands;
         // SAFETY: it is being recorded, outside of a render pass, and `finish` submits it once. `begin` has waited for the
         // fence of the slot's previous recording, and the slots have the same numbers. The host leaves the recorded contents
         // alone until then.
         unsafe { self.context.adopt_commands(commands) }
     }
 
-    fn images<'a>(&'a self, turn: &Turn) -> Images<'a> {
-        Images { device: &self.device, commands: self.frames[turn.slot as usize].commands }
+    fn images<'a>(&'a self, begun: &BegunFrame) -> Images<'a> {
+        Images { device: &self.device, commands: self.frames[begun.slot as usize].commands }
     }
 
     /// Records a fill with one colour. Returns the image's new state.
-    pub fn clear(&self, turn: &Turn, image: &Image, from: ImageState, color: [f32; 3]) -> ImageState {
-        self.images(turn).clear(image, from, color)
+    pub fn clear(&self, begun: &BegunFrame, image: &Image, from: ImageState, color: [f32; 3]) -> ImageState {
+        self.images(begun).clear(image, from, color)
     }
 
     /// Records a copy of an image to one of another size. Returns the second image's new state.
-    pub fn enlarge(&self, turn: &Turn, [from, to]: [&Image; 2], uses: [ImageState; 2]) -> ImageState {
-        self.images(turn).scale([from, to], uses)
+    pub fn enlarge(&self, begun: &BegunFrame, [from, to]: [&Image; 2], uses: [ImageState; 2]) -> ImageState {
+        self.images(begun).scale([from, to], uses)
     }
 
     /// Copies the picture to the window's image, submits the frame and presents it. The picture has the surface's size.
-    pub fn finish(&mut self, turn: Turn, picture: &Image, used: ImageState) -> Result<()> {
+    pub fn finish(&mut self, begun: BegunFrame, picture: &Image, used: ImageState) -> Result<()> {
         let Some(swapchain) = &self.swapchain else { return Ok(()) };
-        let (image, presented) = swapchain.image(turn.image);
-        let images = self.images(&turn);
-        let frame = &self.frames[turn.slot as usize];
+        let (image, presented) = swapchain.image(begun.image);
+        let images = self.images(&begun);
+        let frame = &self.frames[begun.slot as usize];
         let extent = [swapchain.extent.width, swapchain.extent.height];
         images.show(picture, used, image, extent);
         let transfer = vk::PipelineStageFlags2::ALL_TRANSFER;
@@ -307,7 +307,7 @@ impl Present {
             .wait_semaphore_infos(&waits)
             .command_buffer_infos(&buffers)
             .signal_semaphore_infos(&signals)];
-        let (semaphores, raw, indices) = ([presented], [swapchain.raw], [turn.image]);
+        let (semaphores, raw, indices) = ([presented], [swapchain.raw], [begun.image]);
         let info = vk::PresentInfoKHR::default()
             .wait_semaphores(&semaphores)
             .swapchains(&raw)

@@ -48,7 +48,7 @@ impl Choice {
         }
         let format =
             format(&formats).ok_or_else(|| unfit("this display has no 8-bit format without a curve"))?;
-        let most = if can.max_image_count == 0 { u32::MAX } else { can.max_image_count };
+        let max = if can.max_image_count == 0 { u32::MAX } else { can.max_image_count };
         let opaque = vk::CompositeAlphaFlagsKHR::OPAQUE;
         let lowest = can.supported_composite_alpha.as_raw();
         let lowest = vk::CompositeAlphaFlagsKHR::from_raw(lowest & lowest.wrapping_neg());
@@ -56,7 +56,7 @@ impl Choice {
             format,
             extent,
             mode: mode(&modes, vsync),
-            images: (can.min_image_count + 1).min(most),
+            images: (can.min_image_count + 1).min(max),
             transform: can.current_transform,
             alpha: if can.supported_composite_alpha.contains(opaque) { opaque } else { lowest },
         }))

@@ -4,13 +4,13 @@ use super::*;
 use crate::train::tests::dataset;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
-use ashsplat_view::protocol::{CameraMessage, Look, ViewRequest};
+use ashsplat_view::protocol::{CameraMessage, ViewRequest, ViewSettings};
 use glam::Vec3;
 use std::net::TcpStream;
 use std::path::Path;
 use tungstenite::{Message, WebSocket};
 
-fn any_port() -> Door {
+fn any_port() -> Port {
     let arguments = LiveArguments {
         view: Some(0),
         view_host: "127.0.0.1".into(),
@@ -26,7 +26,7 @@ fn looked_at(context: &Context, model: &Path) -> Run {
     let mut settings = Settings::reference();
     settings.data.model_path = model.to_owned();
     let mut run = Run::prepare(context, dataset(1.0), settings, true).expect("a run");
-    run.look_on(Some(any_port()), context, None).expect("a viewer");
+    run.serve(Some(any_port()), context, None).expect("a viewer");
     run
 }
 
@@ -34,7 +34,7 @@ fn looked_at(context: &Context, model: &Path) -> Run {
 fn view() -> ViewRequest {
     let lens = Intrinsics::from_fov_x(0.8, 16, 16);
     let camera = CameraMessage::of(&Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, lens));
-    ViewRequest { seq: 1, camera, look: Look::default(), follow: false, as_photo: None }
+    ViewRequest { seq: 1, camera, look: ViewSettings::default(), follow: false, as_photo: None }
 }
 
 /// A connected page.

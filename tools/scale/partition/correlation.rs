@@ -11,7 +11,7 @@ const VIEWS: usize = 5;
 
 /// Mean correlation of brightness between photographs and renders, both small, -1 to 1. `None` if the photographs are
 /// uniform.
-pub fn correlation(renderer: &mut Renderer, gallery: &Gallery, look: &RenderSettings) -> Result<Option<f64>> {
+pub fn with_photos(renderer: &mut Renderer, gallery: &Gallery, look: &RenderSettings) -> Result<Option<f64>> {
     let views = gallery.cameras().len();
     let mut found = Vec::new();
     for index in (0..views).step_by(views.div_ceil(VIEWS).max(1)) {

@@ -34,7 +34,7 @@ const START_SIZE: [u32; 2] = [1280, 720];
 
 /// A scene to look at.
 #[derive(Default)]
-pub struct Subject {
+pub struct LoadedScene {
     pub name: String,
     pub gaussians: Gaussians,
     /// Coordinate frame of Gaussians and cameras within their files' coordinates.
@@ -70,7 +70,7 @@ pub struct ScenePart {
 
 /// State of the open scenes that a joining scene needs.
 #[derive(Clone)]
-pub struct Shown {
+pub struct OpenScenes {
     pub parts: Vec<ScenePart>,
     /// True if cameras are shown, which a scene that is added removes.
     pub has_cameras: bool,
@@ -110,12 +110,12 @@ pub struct SceneArguments {
 /// Default budget of a tree, Gaussians.
 const BUDGET: usize = 1_000_000;
 
-impl Subject {
-    /// The subject before any scene is chosen.
-    pub fn nothing() -> Subject {
+impl LoadedScene {
+    /// The scene before any is chosen.
+    pub fn nothing() -> LoadedScene {
         let note = "No scene is open. Start the viewer with something to look at: `ashsplat view scene.ply`, \
                     `ashsplat view MODEL` (a folder as `ashsplat train -m` leaves it) or `ashsplat view DATASET`.";
-        Subject { name: "nothing".into(), note: Some(note.into()), ..Subject::default() }
+        LoadedScene { name: "nothing".into(), note: Some(note.into()), ..LoadedScene::default() }
     }
 
     /// A tree of tiles: reads only its coarsest tile.
@@ -124,7 +124,7 @@ impl Subject {
         path: &Path,
         (budget, within): (Option<Target>, Option<&Path>),
         (look, host): (&LookArguments, &HostArguments),
-    ) -> Result<Subject> {
+    ) -> Result<LoadedScene> {
         let coarsest = tree.path(0).ok_or_else(|| Error::input(path, "has no tiles", "write it again"))?;
         let streamed = |tree: Tree| Streamed {
             read: host.reading(look.drop_invalid),
@@ -149,7 +149,7 @@ impl Subject {
                 "write the tree again with `ashsplat tiles`",
             ));
         }
-        Ok(Subject {
+        Ok(LoadedScene {
             name: path.display().to_string(),
             base: look.settings(&Settings::reference(), &scene.header)?,
             gaussians: scene.gaussians,
@@ -160,7 +160,7 @@ impl Subject {
                 tree.tiles().len()
             )),
             tree: Some(streamed(tree)),
-            ..Subject::default()
+            ..LoadedScene::default()
         })
     }
 
@@ -169,30 +169,30 @@ impl Subject {
     pub fn load(
         path: &Path,
         within: Option<&Path>,
-        wanted: &SceneArguments,
+        arguments: &SceneArguments,
         look: &LookArguments,
         host: &HostArguments,
         stop: &AtomicBool,
-    ) -> Result<Subject> {
+    ) -> Result<LoadedScene> {
         let folder = model::folder_of_tiles(path);
-        if let Some(tree) = tree_of(folder, wanted.budget.is_some())? {
-            return Subject::of_tree(tree, path, (wanted.budget, within), (look, host));
+        if let Some(tree) = tree_of(folder, arguments.budget.is_some())? {
+            return LoadedScene::of_tree(tree, path, (arguments.budget, within), (look, host));
         }
         if model::is_dataset(path) {
-            return Subject::of_dataset(path, wanted.images.as_deref(), host, stop);
+            return LoadedScene::of_dataset(path, arguments.images.as_deref(), host, stop);
         }
-        let model = Model::locate(path, wanted.iteration)?;
+        let model = Model::locate(path, arguments.iteration)?;
         let scene = look.load(&model.ply, host)?;
         let mut data = model.settings.data.clone();
-        if let Some(source) = &wanted.source_path {
+        if let Some(source) = &arguments.source_path {
             data.source_path.clone_from(source);
         }
-        data.images = wanted.images.clone().unwrap_or(data.images);
-        let requested = wanted.source_path.is_some() || wanted.images.is_some();
+        data.images = arguments.images.clone().unwrap_or(data.images);
+        let requested = arguments.source_path.is_some() || arguments.images.is_some();
         let white = model.settings.train.white_background;
         // The user names this data set, so it may lie anywhere; a stranger's model may still name its photos' folder.
-        let own = wanted.source_path.as_ref().and_then(|source| dunce::canonicalize(source).ok());
-        let is_users = own.is_some() && wanted.images.is_some();
+        let own = arguments.source_path.as_ref().and_then(|source| dunce::canonicalize(source).ok());
+        let is_users = own.is_some() && arguments.images.is_some();
         if within.is_some_and(|folder| !is_users && !lies_within(&data, own.as_deref().unwrap_or(folder))) {
             data.source_path = PathBuf::new();
         }
@@ -211,9 +211,9 @@ impl Subject {
             Some((folder, _)) => Appearances::read(folder)?,
             None => Appearances::default(),
         };
-        let newest = model.folder.is_some() && wanted.iteration.is_none();
+        let newest = model.folder.is_some() && arguments.iteration.is_none();
         let file = if newest { path.to_owned() } else { model.ply };
-        Ok(Subject {
+        Ok(LoadedScene {
             name: path.display().to_string(),
             base: look.settings(&model.settings, &scene.header)?,
             gaussians: scene.gaussians,
@@ -223,7 +223,7 @@ impl Subject {
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
             file: Some(file),
-            ..Subject::default()
+            ..LoadedScene::default()
         })
     }
 
@@ -232,7 +232,7 @@ impl Subject {
         images: Option<&str>,
         host: &HostArguments,
         stop: &AtomicBool,
-    ) -> Result<Subject> {
+    ) -> Result<LoadedScene> {
         let data = DataSettings { source_path: path.to_owned(), ..Default::default() };
         let mut options = DatasetOptions { host_memory: host.memory(), ..Default::default() };
         if let Some(images) = images {
@@ -248,72 +248,72 @@ impl Subject {
                 "the data set's points: nothing is trained yet",
             )
         };
-        Ok(Subject {
+        Ok(LoadedScene {
             name: path.display().to_string(),
             gaussians,
             frame: *gallery.frame(),
             cameras: gallery.cameras(),
             photos: Some(Arc::new(Photos::new(gallery))),
             note: Some(note.into()),
-            ..Subject::default()
+            ..LoadedScene::default()
         })
     }
 
     /// Returns the state that a joining scene needs.
-    pub fn shown(&self) -> Shown {
+    pub fn open_scenes(&self) -> OpenScenes {
         let alone =
             || ScenePart { name: self.name.clone(), file: self.file.clone(), count: self.gaussians.len() };
         let parts = if self.parts.is_empty() { vec![alone()] } else { self.parts.clone() };
-        Shown { parts, has_cameras: !self.cameras.is_empty(), frame: self.frame, base: self.base }
+        OpenScenes { parts, has_cameras: !self.cameras.is_empty(), frame: self.frame, base: self.base }
     }
 
     /// Adds this scene to those that are open, whose Gaussians are `all`. It is drawn with their settings.
-    pub fn beside(self, mut shown: Shown, all: Gaussians) -> Subject {
+    pub fn added_to(self, mut open: OpenScenes, all: Gaussians) -> LoadedScene {
         let degree = self.gaussians.sh_degree.max(all.sh_degree);
         let trained = |base: &RenderSettings| (base.antialias, base.dilation_px2);
-        let differs = trained(&self.base) != trained(&shown.base);
-        let mut added = self.shown();
+        let differs = trained(&self.base) != trained(&open.base);
+        let mut added = self.open_scenes();
         // `convert` cannot join files that are drawn differently.
         added.parts.iter_mut().filter(|_| differs).for_each(|part| part.file = None);
         let notes = [
             (differs, "they were trained differently, and are drawn as the first"),
             (
-                shown.has_cameras || added.has_cameras,
+                open.has_cameras || added.has_cameras,
                 "cameras and photographs are only shown for a scene alone",
             ),
         ];
         let notes: Vec<&str> = notes.iter().filter(|(is_so, _)| *is_so).map(|(_, note)| *note).collect();
-        shown.parts.extend(added.parts);
+        open.parts.extend(added.parts);
         let mut own = self.gaussians.with_sh_degree(degree);
-        own.transform(&Similarity::between(&self.frame, &shown.frame));
+        own.transform(&Similarity::between(&self.frame, &open.frame));
         let mut gaussians = all.with_sh_degree(degree);
         gaussians.append(&own);
-        let names: Vec<&str> = shown.parts.iter().map(|part| part.name.as_str()).collect();
-        Subject {
+        let names: Vec<&str> = open.parts.iter().map(|part| part.name.as_str()).collect();
+        LoadedScene {
             name: names.join(" + "),
             note: (!notes.is_empty()).then(|| notes.join("; ")),
             gaussians,
-            frame: shown.frame,
-            base: shown.base,
-            parts: shown.parts,
+            frame: open.frame,
+            base: open.base,
+            parts: open.parts,
             up: self.up,
-            ..Subject::default()
+            ..LoadedScene::default()
         }
     }
 
     /// The scenes that this one was shown beside; nothing if it is alone.
-    pub fn without_last(&self) -> Subject {
-        let Some((_, parts @ [_, ..])) = self.parts.split_last() else { return Subject::nothing() };
+    pub fn without_last(&self) -> LoadedScene {
+        let Some((_, parts @ [_, ..])) = self.parts.split_last() else { return LoadedScene::nothing() };
         let count = parts.iter().map(|part| part.count).sum();
         let names: Vec<&str> = parts.iter().map(|part| part.name.as_str()).collect();
-        Subject {
+        LoadedScene {
             name: names.join(" + "),
             gaussians: self.gaussians.select(&(0..count).collect::<Vec<_>>()),
             frame: self.frame,
             base: self.base,
             parts: parts.to_vec(),
             up: self.up,
-            ..Subject::default()
+            ..LoadedScene::default()
         }
     }
 
@@ -387,7 +387,7 @@ impl Subject {
 
     /// Start of a command that cuts the scene.
     fn convert_command(&self) -> Option<String> {
-        let parts = self.shown().parts;
+        let parts = self.open_scenes().parts;
         let files: Option<Vec<&str>> = parts.iter().map(|part| part.file.as_ref()?.to_str()).collect();
         let files = files?;
         // Files of one name may have been sent from two folders.
@@ -433,7 +433,7 @@ fn cameras_of(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let all = cameras.len();
     cameras.retain(|named| !named.camera.is_orthographic());
     if cameras.len() < all {
-        tell!("{}: {} orthographic cameras are left out", file.display(), all - cameras.len());
+        errln!("{}: {} orthographic cameras are left out", file.display(), all - cameras.len());
     }
     Ok(cameras)
 }

@@ -1,6 +1,6 @@
 //! The start of a training: points, a scene, or a checkpoint; and the block that is trained.
 
-use super::checkpoints::{Start, StartFrom};
+use super::checkpoints::{ResumePoint, StartFrom};
 use super::prepared::Data;
 use ashsplat::frame::to_u32;
 use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
@@ -19,8 +19,8 @@ use std::path::Path;
 /// The start of a training: a checkpoint, else a scene, else the points of the data set or their substitute. A
 /// checkpoint of a block lacks its surroundings, which come from the scene or the points.
 #[derive(Default)]
-pub struct Origin {
-    start: Option<Box<Start>>,
+pub struct RunStart {
+    start: Option<Box<ResumePoint>>,
     /// Gaussians of the file `--init`.
     scene: Option<Scene>,
     /// The scene after an exchange of blocks, if the depths of the first scene are needed too.
@@ -33,7 +33,7 @@ pub struct Origin {
 
 /// The first Gaussians of a training.
 #[derive(Clone)]
-pub struct First {
+pub struct InitialGaussians {
     /// The trained Gaussians; `None` if they come from a checkpoint.
     pub trained: Option<Gaussians>,
     /// The trained block, if any.
@@ -42,7 +42,7 @@ pub struct First {
     pub points: Option<PointCloud>,
 }
 
-impl Origin {
+impl RunStart {
     /// Reads the requested start. A checkpoint precedes `--init`, with which its training may have begun. Warns if a
     /// scene was trained with another low-pass filter. `exchanged` is the scene around a block after an exchange.
     pub fn read(
@@ -50,12 +50,12 @@ impl Origin {
         settings: &Settings,
         exchanged: Option<&Path>,
         host: &HostArguments,
-    ) -> Result<Origin> {
+    ) -> Result<RunStart> {
         let data = &settings.data;
-        let start = from.map(|from| Start::find(from, &data.model_path, host)).transpose()?.flatten();
+        let start = from.map(|from| ResumePoint::find(from, &data.model_path, host)).transpose()?.flatten();
         let start = start.map(Box::new);
         if start.is_none() && from.is_some() {
-            tell!("{} has no checkpoint: training begins anew", data.model_path.display());
+            errln!("{} has no checkpoint: training begins anew", data.model_path.display());
         }
         if let Some(start) = &start {
             let (iteration, last) = (start.iteration(), settings.train.iterations);
@@ -66,7 +66,7 @@ impl Origin {
         }
         let (continues, has_block) = (start.is_some(), data.block(&WorldFrame::default())?.is_some());
         if data.init.as_os_str().is_empty() || continues && !has_block {
-            return Ok(Origin { start, needs_points: !continues || has_block, ..Origin::default() });
+            return Ok(RunStart { start, needs_points: !continues || has_block, ..RunStart::default() });
         }
         let whole = |path: &Path| path.canonicalize().ok();
         let (init, model) = (whole(&data.init), whole(&data.model_path));
@@ -79,12 +79,12 @@ impl Origin {
             Some(exchanged) if data.looks_at_depths()? => (read(&data.init)?, Some(read(exchanged)?)),
             other => (read(other.unwrap_or(&data.init))?, None),
         };
-        Ok(Origin { start, scene: Some(scene), exchanged, ..Origin::default() })
+        Ok(RunStart { start, scene: Some(scene), exchanged, ..RunStart::default() })
     }
 
     /// A training that begins with the data set's points.
-    pub fn points() -> Origin {
-        Origin { needs_points: true, ..Origin::default() }
+    pub fn points() -> RunStart {
+        RunStart { needs_points: true, ..RunStart::default() }
     }
 
     /// Divides a scene into the block's trained Gaussians and the visible rest. Returns a note if some of the rest is
@@ -97,17 +97,17 @@ impl Origin {
         let (trained, block) =
             SceneBlock::divide(&scene.gaussians.with_sh_degree(train.sh_degree), core, margin)?;
         let block = settings.data.outside.leave(block, self.exchanged.is_some());
-        let around = block.frozen.len();
-        let block = block.without_unseen(&gallery.used_cameras()?, train);
-        let unseen = around - block.frozen.len();
+        let frozen = block.frozen.len();
+        let block = block.without_invisible(&gallery.used_cameras()?, train);
+        let out_of_view = frozen - block.frozen.len();
         // Frees the whole scenes, to save memory.
         (self.scene, self.exchanged) = (None, None);
         self.divided = Some((trained, block));
-        let [unseen_of, all] = [unseen, around].map(|count| thousands(count as u64));
+        let [left_out, all] = [out_of_view, frozen].map(|count| thousands(count as u64));
         let line = || {
-            format!("Gaussians around the block: {unseen_of} of {all} left out, which no photo of it shows")
+            format!("Gaussians around the block: {left_out} of {all} left out, which no photo of it shows")
         };
-        Ok((unseen > 0).then(line))
+        Ok((out_of_view > 0).then(line))
     }
 
     /// The scene with which training begins or began, unless it begins with points.
@@ -127,7 +127,7 @@ impl Origin {
         let cameras = gallery.used_cameras()?;
         let mut sample = scene.means.iter().step_by(scene.len().div_ceil(SAMPLE).max(1));
         if !sample.any(|&mean| cameras.iter().any(|camera| camera.sees(Vec3::from_array(mean)))) {
-            tell!(
+            errln!(
                 "warning: {}: no photograph shows a Gaussian of it (a sample): do scene and data set have the same coordinates?",
                 settings.data.init.display()
             );
@@ -141,12 +141,12 @@ impl Origin {
     }
 
     /// The start from a checkpoint, if it is one.
-    pub fn start(&self) -> Option<&Start> {
+    pub fn start(&self) -> Option<&ResumePoint> {
         self.start.as_deref()
     }
 
     pub fn checkpoint(&self) -> Option<&Checkpoint> {
-        self.start().map(Start::checkpoint)
+        self.start().map(ResumePoint::checkpoint)
     }
 
     /// Number of trained Gaussians and of those around them, as far as it is known before photos are read. It counts
@@ -195,15 +195,15 @@ impl Origin {
         }
     }
 
-    pub fn first(&self, dataset: &Dataset, settings: &Settings) -> Result<First> {
+    pub fn initial_gaussians(&self, dataset: &Dataset, settings: &Settings) -> Result<InitialGaussians> {
         let (train, block) = (&settings.train, settings.data.block(&dataset.frame)?);
         let continues = self.start.is_some();
         if continues && block.is_none() {
-            return Ok(First { trained: None, block: None, points: None });
+            return Ok(InitialGaussians { trained: None, block: None, points: None });
         }
         if let Some((trained, block)) = &self.divided {
             let trained = (!continues).then(|| trained.clone());
-            return Ok(First { trained, block: Some(block.clone()), points: None });
+            return Ok(InitialGaussians { trained, block: Some(block.clone()), points: None });
         }
         let (whole, points) = match self.scene() {
             Some(gaussians) => (gaussians.with_sh_degree(train.sh_degree), None),
@@ -223,7 +223,7 @@ impl Origin {
         };
         let beginning = (Some(trained), points);
         let (trained, points) = if continues { (None, None) } else { beginning };
-        Ok(First { trained, block, points })
+        Ok(InitialGaussians { trained, block, points })
     }
 
     /// Makes the trainer for this start.
@@ -231,7 +231,7 @@ impl Origin {
         &self,
         context: &Context,
         data: Data,
-        first: First,
+        first: InitialGaussians,
         settings: &TrainSettings,
     ) -> Result<Trainer> {
         let Data { train, scene_extent } = data;
@@ -256,23 +256,23 @@ fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Sc
     }
     // Formats without the mark read as trained without antialiasing.
     if scene.header.antialiased && !settings.train.antialiasing {
-        tell!("warning: {}: was trained with --antialiasing; train with it, too", path.display());
+        errln!("warning: {}: was trained with --antialiasing; train with it, too", path.display());
     }
     if let Some(size) = scene.header.kernel_size.filter(|size| *size != settings.train.kernel_size as f32) {
-        tell!("warning: {}: was trained with --kernel-size {size}; train with it, too", path.display());
+        errln!("warning: {}: was trained with --kernel-size {size}; train with it, too", path.display());
     }
     if scene.header.distance_order && !settings.train.distance_order {
-        tell!("warning: {}: was trained with --distance-order; train with it, too", path.display());
+        errln!("warning: {}: was trained with --distance-order; train with it, too", path.display());
     }
     for warning in &scene.warnings {
-        tell!("warning: {warning}");
+        errln!("warning: {warning}");
     }
     Ok(scene)
 }
 
 /// Refuses a training that does not fit, by the sizes of the photos, before they are read.
-pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
-    let [gaussians, frozen] = origin.counts(settings, (gallery.points(), gallery.frame()))?;
+pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, start: &RunStart) -> Result<()> {
+    let [gaussians, frozen] = start.counts(settings, (gallery.points(), gallery.frame()))?;
     settings.train.check_cameras(gallery.used_cameras()?.iter())?;
     Forecast {
         settings: &settings.train,
@@ -280,7 +280,7 @@ pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, ori
         photo_memory: gallery.file_memory(),
         gaussians: to_u32(gaussians as u64)?,
         frozen: to_u32(frozen as u64)?,
-        capacities: origin.checkpoint().map(|checkpoint| &checkpoint.capacities),
+        capacities: start.checkpoint().map(|checkpoint| &checkpoint.capacities),
     }
     .check(context)
 }

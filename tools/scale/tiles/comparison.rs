@@ -15,18 +15,18 @@ const DISTANCE: f32 = 4.0;
 const STRAYS: usize = 50;
 
 /// Largest radius of a ball: single precision ends soon after.
-const MOST_RADIUS: f32 = 1e37;
+const MAX_RADIUS: f32 = 1e37;
 
 /// Compares tiles.
-pub struct Likeness {
+pub struct TileComparison {
     renderer: Renderer,
     settings: RenderSettings,
 }
 
-impl Likeness {
+impl TileComparison {
     /// Compares tiles of a scene that is drawn with these settings, but always on black.
-    pub fn new(renderer: Renderer, settings: RenderSettings) -> Likeness {
-        Likeness { renderer, settings: RenderSettings { background: [0.0; 3], ..settings } }
+    pub fn new(renderer: Renderer, settings: RenderSettings) -> TileComparison {
+        TileComparison { renderer, settings: RenderSettings { background: [0.0; 3], ..settings } }
     }
 
     /// Difference of two tiles' pictures, world units: the root of the squared difference (mean of the channels, 0 to 1),
@@ -79,7 +79,7 @@ fn ball(gaussians: &Gaussians) -> (Vec3, f32) {
     sizes.sort_unstable_by(f32::total_cmp);
     let own = sizes[sizes.len() / 2].exp();
     let reach = 0.5 * min.as_dvec3().distance(max.as_dvec3()) as f32;
-    (centre, reach.max(own).clamp(f32::MIN_POSITIVE, MOST_RADIUS))
+    (centre, reach.max(own).clamp(f32::MIN_POSITIVE, MAX_RADIUS))
 }
 
 /// A camera that sees the ball around a tile; its diameter is the side of the picture.

@@ -29,7 +29,7 @@ pub(super) fn collected<T>(
 const IDLE_RECORDINGS: u64 = 64;
 
 #[derive(Default)]
-pub(super) struct Kept {
+pub(super) struct RecordingCache {
     /// Arrays for updates, by the update's index within a recording, with the last recording that used them.
     copies: Vec<(Gaussians, u64)>,
     /// Number of updates in this recording so far.
@@ -39,7 +39,7 @@ pub(super) struct Kept {
     recordings: u64,
 }
 
-impl Kept {
+impl RecordingCache {
     /// Begins a recording.
     pub fn begin(&mut self) {
         self.recordings += 1;

@@ -4,14 +4,14 @@ use super::*;
 use ashsplat_files::exposure_json;
 use ashsplat_files::lens_json::LensFile;
 
-fn train(place: &Place, model: &str, more: &str) {
+fn train(place: &TestFolder, model: &str, more: &str) {
     let few = "--iterations 40 --test-iterations=-1 --sh-degree=0 --quiet --seed=3";
     place.run(format!("train -s @data -m @{model} {few} {more}")).ok();
 }
 
 #[test]
 fn exposures_are_learnt_saved_and_asked_for() {
-    let place = Place::new();
+    let place = TestFolder::new();
     train(&place, "model", "--eval --exposure --exposure-lr-init=0.1");
     let exposures = exposure_json::read(place.at("model/exposure.json")).expect("the exposures");
     // Held-out photos have no exposure.
@@ -46,7 +46,7 @@ fn exposures_are_learnt_saved_and_asked_for() {
 /// Vignetting and response: learned, saved for all photos, used by `render` and by measurements.
 #[test]
 fn lens_effects_are_learnt_saved_and_asked_for() {
-    let place = Place::new();
+    let place = TestFolder::new();
     train(&place, "model", "--eval --lens-effects --lens-lr=0.05");
     let lenses = LensFile::read(place.at("model/lens.json")).expect("the lenses");
     assert_eq!((lenses.cameras.len(), lenses.photos.len()), (1, 9));
@@ -94,7 +94,7 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
 /// The reference's protocol: trains on the left half of the held-out views, and measures the right half.
 #[test]
 fn held_out_views_are_trained_on_their_left_half() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.run("train -s @data -m @model --train-test-exp").refused(&["train_test_exp", "--eval"]);
     train(&place, "model", "--eval --train_test_exp");
     assert_eq!(exposure_json::read(place.at("model/exposure.json")).expect("the exposures").len(), 9);
@@ -131,11 +131,11 @@ const PARAMS: &str = "data/sparse/0/depth_params.json";
 
 /// A data set with observations of its points, and maps that are no inverse depths yet. Those of photo k are
 /// (1 / z - 0.1) / (1 + k / 10).
-struct Mapped(Place);
+struct Mapped(TestFolder);
 
 impl Mapped {
     fn new() -> Mapped {
-        let place = Place::empty();
+        let place = TestFolder::empty();
         write_observed(&place.at("data"));
         place.create_folder("data/depths");
         let mapped = Mapped(place);

@@ -1,17 +1,17 @@
 //! State of the window: view, mode, photo, text.
 
 use super::super::draw;
-use super::super::protocol::{self, Look, Mode};
+use super::super::loaded_scene::LoadedScene;
+use super::super::protocol::{self, Mode, ViewSettings};
 use super::super::render_thread::fatal;
-use super::super::subject::Subject;
 use super::comparison::Comparison;
 use super::keys::Action;
 use super::navigation::Navigation;
-use super::pace::{Due, Pace};
+use super::pace::{NextFrame, Pace};
 use super::picture::{Content, Picture};
 use super::present::Present;
 use super::text::{Overlay, Text, text};
-use super::words::{self, Measured};
+use super::words::{self, Measurements};
 use ashsplat::scene::Camera;
 use ashsplat::{Error, FrameStats, Gaussians, PixelReport, RenderSettings, Result};
 use ashsplat_files::Photo;
@@ -23,7 +23,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
 /// Display time of a message.
-const SAID: Duration = Duration::from_secs(6);
+const MESSAGE_TIME: Duration = Duration::from_secs(6);
 /// Window rows per unit of text scale.
 const ROWS_PER_DOT: u32 = 540;
 /// Distance of the text from the corner, pixels.
@@ -32,7 +32,7 @@ const CORNER: u32 = 8;
 /// A frame that the device still works on.
 struct Pending {
     slot: u32,
-    due: Due,
+    frame: NextFrame,
     begun: Instant,
     /// Time that the processor took for the picture before submission, ms.
     before: f64,
@@ -41,15 +41,15 @@ struct Pending {
     settled: bool,
 }
 
-pub struct Stage {
+pub struct WindowViewer {
     picture: Picture,
     pub view: Navigation,
     pub pace: Pace,
     mode: Mode,
     /// The scene, without its Gaussians.
-    subject: Subject,
+    scene: LoadedScene,
     /// True if photos' views are drawn with their exposure and lens effects.
-    lit: bool,
+    shows_appearance: bool,
     device: String,
     start: Option<Camera>,
     center: DVec3,
@@ -60,7 +60,7 @@ pub struct Stage {
     pub size: [u32; 2],
     /// Pixels per logical pixel.
     pub scale_factor: f64,
-    measured: Measured,
+    measured: Measurements,
     pending: VecDeque<Pending>,
     ended: Option<Instant>,
     settle: bool,
@@ -75,26 +75,26 @@ pub struct Stage {
     message: Option<(String, Instant)>,
 }
 
-impl Stage {
-    pub fn new(subject: Subject, picture: Picture, device: &str, out: PathBuf) -> Stage {
-        let (orbit, start) = subject.first_view();
+impl WindowViewer {
+    pub fn new(scene: LoadedScene, picture: Picture, device: &str, out: PathBuf) -> WindowViewer {
+        let (orbit, start) = scene.first_view();
         let center = orbit.center.as_dvec3();
         let view = Navigation::new(center, orbit.up.as_dvec3(), f64::from(orbit.radius));
-        let mut stage = Stage {
+        let mut viewer = WindowViewer {
             picture,
             view,
             pace: Pace::new(),
             mode: Mode::Splats,
-            lit: false,
+            shows_appearance: false,
             device: device.to_owned(),
             start,
             center,
-            unit: subject.frame.unit as f32,
-            subject: Subject { gaussians: Gaussians::default(), ..subject },
+            unit: scene.frame.unit as f32,
+            scene: LoadedScene { gaussians: Gaussians::default(), ..scene },
             out,
             size: [1, 1],
             scale_factor: 1.0,
-            measured: Measured::default(),
+            measured: Measurements::default(),
             pending: VecDeque::new(),
             ended: None,
             settle: false,
@@ -107,13 +107,13 @@ impl Stage {
             picked: Vec::new(),
             message: None,
         };
-        stage.home();
-        stage
+        viewer.home();
+        viewer
     }
 
     /// The last part of the scene's name.
     pub fn title(&self) -> &str {
-        self.subject.name.split('/').rfind(|part| !part.is_empty()).unwrap_or(&self.subject.name)
+        self.scene.name.split('/').rfind(|part| !part.is_empty()).unwrap_or(&self.scene.name)
     }
 
     fn home(&mut self) {
@@ -124,8 +124,8 @@ impl Stage {
         self.pace.leap();
     }
 
-    fn look(&self) -> Look {
-        Look { mode: self.mode, quality: 0, ..Look::default() }
+    fn look(&self) -> ViewSettings {
+        ViewSettings { mode: self.mode, quality: 0, ..ViewSettings::default() }
     }
 
     /// Shows a message for a while.
@@ -135,7 +135,7 @@ impl Stage {
     }
 
     /// Shows an error. Returns it if it must end the program.
-    fn complain(&mut self, error: Error) -> Result<()> {
+    fn show_error(&mut self, error: Error) -> Result<()> {
         self.say(error.to_string());
         fatal(error)
     }
@@ -153,9 +153,9 @@ impl Stage {
             Action::Face => self.view.face(self.center),
             Action::Home => self.home(),
             Action::Photo(step) => self.step(step),
-            Action::PhotoLight => {
-                self.lit = !self.lit;
-                self.say(words::photo_appearance(self.lit, self.knows_appearances()).into());
+            Action::PhotoAppearance => {
+                self.shows_appearance = !self.shows_appearance;
+                self.say(words::photo_appearance(self.shows_appearance, self.has_appearances()).into());
             }
             Action::Close => return Ok(!self.close_something()),
             Action::Fly(_) | Action::Turn(_) | Action::Zoom(_) | Action::FlyMode => {}
@@ -164,15 +164,15 @@ impl Stage {
         Ok(false)
     }
 
-    fn knows_appearances(&self) -> bool {
-        (0..self.subject.cameras.len()).any(|photo| self.subject.appearances.has(photo))
+    fn has_appearances(&self) -> bool {
+        (0..self.scene.cameras.len()).any(|photo| self.scene.appearances.has(photo))
     }
 
     /// Exposure and lens effects for the picture, if the view is exactly a photo's.
     fn photo_appearance(&self) -> Result<Option<(Camera, Appearance)>> {
-        let lit = self.lit && self.mode == Mode::Splats && self.view.is_photo();
-        let photo = self.current.filter(|photo| lit && self.subject.appearances.has(*photo));
-        photo.map(|photo| self.subject.appearances.of(photo, None)).transpose()
+        let shows_appearance = self.shows_appearance && self.mode == Mode::Splats && self.view.is_photo();
+        let photo = self.current.filter(|photo| shows_appearance && self.scene.appearances.has(*photo));
+        photo.map(|photo| self.scene.appearances.of(photo, None)).transpose()
     }
 
     /// Closes help, photo and list of Gaussians. True if any was open.
@@ -186,20 +186,20 @@ impl Stage {
 
     /// Goes to the next or the previous photo.
     fn step(&mut self, by: isize) {
-        let count = self.subject.cameras.len() as isize;
+        let count = self.scene.cameras.len() as isize;
         if count == 0 {
             return;
         }
         let from = self.current.map_or(if by > 0 { -1 } else { 0 }, |current| current as isize);
         let index = (from + by).rem_euclid(count) as usize;
         self.current = Some(index);
-        let named = &self.subject.cameras[index];
+        let named = &self.scene.cameras[index];
         self.view.take(&named.camera, true);
         let name = named.name.clone();
-        let photo = self.subject.photos.as_ref().map(|photos| photos.decoded_now(index)).transpose();
-        let (photo, said) = photo.map_or_else(|error| (None, error.to_string()), |photo| (photo, name));
+        let photo = self.scene.photos.as_ref().map(|photos| photos.decoded_now(index)).transpose();
+        let (photo, message) = photo.map_or_else(|error| (None, error.to_string()), |photo| (photo, name));
         self.comparison = photo.map(Comparison::new);
-        self.say(said);
+        self.say(message);
     }
 
     /// Border between photo and render, pixels from the left; none if no photo is shown.
@@ -220,13 +220,13 @@ impl Stage {
     fn report(&mut self, [x, y]: [f64; 2]) -> Result<Option<([u32; 2], PixelReport)>> {
         let pixel = [x, y].map(|v| v.max(0.0) as u32);
         let camera = self.view.camera(self.size);
-        let settings = draw::settings(&self.subject.base, &Look::default());
+        let settings = draw::settings(&self.scene.base, &ViewSettings::default());
         if !self.picture.has_scene() {
             return Ok(None);
         }
-        match self.picture.painter().inspect(&camera, &settings, pixel) {
+        match self.picture.scene().inspect(&camera, &settings, pixel) {
             Ok(report) => Ok(Some((pixel, report))),
-            Err(error) => self.complain(error).map(|()| None),
+            Err(error) => self.show_error(error).map(|()| None),
         }
     }
 
@@ -259,24 +259,24 @@ impl Stage {
             return Ok(());
         }
         let drawn = (self.photo_appearance()).and_then(|appearance| {
-            draw::draw(self.picture.painter(), &camera, &self.subject.base, &look, appearance)
+            draw::draw(self.picture.scene(), &camera, &self.scene.base, &look, appearance)
         });
         match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
             Ok(()) => self.say(format!("saved {}", path.display())),
-            Err(error) => self.complain(error)?,
+            Err(error) => self.show_error(error)?,
         }
         Ok(())
     }
 
     /// Returns the next frame to draw.
-    pub fn due(&mut self, now: Instant, busy: bool) -> Due {
-        if self.message.as_ref().is_some_and(|(_, since)| now.duration_since(*since) > SAID) {
+    pub fn next_frame(&mut self, now: Instant, busy: bool) -> NextFrame {
+        if self.message.as_ref().is_some_and(|(_, since)| now.duration_since(*since) > MESSAGE_TIME) {
             self.message = None;
             self.pace.leap();
         }
         match self.pace.next(now, busy) {
-            Due::Nothing if self.settle => Due::Still,
-            due => due,
+            NextFrame::Nothing if self.settle => NextFrame::Still,
+            frame => frame,
         }
     }
 
@@ -296,13 +296,13 @@ impl Stage {
             self.ended = Some(now);
             let milliseconds = done.before + now.duration_since(from).as_secs_f64() * 1e3;
             self.measured.milliseconds = milliseconds;
-            if let Due::Moving(scale) = done.due {
+            if let NextFrame::Moving(scale) = done.frame {
                 self.pace.adapt(milliseconds, scale);
             }
             if !done.splats {
                 continue;
             }
-            self.settle |= done.due == Due::Still && !done.settled && self.panel;
+            self.settle |= done.frame == NextFrame::Still && !done.settled && self.panel;
             match self.picture.report(present, done.slot) {
                 Ok(Some(report)) => {
                     if report.overflow {
@@ -317,25 +317,25 @@ impl Stage {
                     };
                 }
                 Ok(None) => {}
-                Err(error) => self.complain(error)?,
+                Err(error) => self.show_error(error)?,
             }
         }
         Ok(())
     }
 
     /// Draws and shows a frame. False if the window is not ready.
-    pub fn draw(&mut self, present: &mut Present, due: Due) -> Result<bool> {
+    pub fn draw(&mut self, present: &mut Present, frame: NextFrame) -> Result<bool> {
         let Some(size) = present.size()? else { return Ok(false) };
         self.size = size;
         present.wait()?;
         self.poll(present)?;
-        let small = due.sides(size);
-        let settled = std::mem::take(&mut self.settle) && due == Due::Still;
+        let small = frame.sides(size);
+        let settled = std::mem::take(&mut self.settle) && frame == NextFrame::Still;
         let (camera, start) = (self.view.camera(small), Instant::now());
-        let settings = draw::settings(&self.subject.base, &self.look());
+        let settings = draw::settings(&self.scene.base, &self.look());
         let prepared = self.prepare(present, &camera, &settings);
         let before = start.elapsed().as_secs_f64() * 1e3;
-        let background = self.subject.base.background;
+        let background = self.scene.base.background;
         let content = match &prepared {
             Ok(_) if !self.picture.has_scene() => Content::Nothing(background),
             Ok(Some(photo)) => Content::Photo(photo),
@@ -363,8 +363,8 @@ impl Stage {
         }
         let Some((slot, begun)) = drawn else { return Ok(false) };
         let before = if splats { 0.0 } else { before };
-        self.pending.push_back(Pending { slot, due, begun, before, splats, settled });
-        self.pace.drawn(due, Instant::now());
+        self.pending.push_back(Pending { slot, frame, begun, before, splats, settled });
+        self.pace.drawn(frame, Instant::now());
         Ok(true)
     }
 
@@ -386,12 +386,12 @@ impl Stage {
             return Ok(None);
         }
         let look = self.look();
-        let drawn = draw::draw(self.picture.painter(), camera, &self.subject.base, &look, appearance)?;
+        let drawn = draw::draw(self.picture.scene(), camera, &self.scene.base, &look, appearance)?;
         let unit = if self.mode == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;
         let stats = FrameStats { scopes: Vec::new(), ..drawn.stats };
-        self.measured = Measured { milliseconds, legend, stats, ..Measured::default() };
+        self.measured = Measurements { milliseconds, legend, stats, ..Measurements::default() };
         Ok(Some(drawn.photo))
     }
 
@@ -399,9 +399,9 @@ impl Stage {
         let mut lines = Vec::new();
         if self.panel {
             let rate = self.pace.frames_per_second();
-            lines = words::status(&self.subject.name, &self.device, self.mode, rate, &self.measured);
+            lines = words::status(&self.scene.name, &self.device, self.mode, rate, &self.measured);
             lines.extend(self.picture.tree().and_then(words::tree));
-            lines.extend(self.subject.note.iter().flat_map(|note| words::wrapped(note)));
+            lines.extend(self.scene.note.iter().flat_map(|note| words::wrapped(note)));
         }
         lines.extend(self.message.iter().flat_map(|(message, _)| words::wrapped(message)));
         lines.extend(self.picked.iter().cloned());

@@ -4,7 +4,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::colmap::UNFINISHED_POSES as FOLDER;
 use ashsplat_files::regular_file;
 use ashsplat_files::{atomic, colmap};
-use ashsplat_program::lock::{FolderLock, Work as Locked};
+use ashsplat_program::lock::{FolderLock, LockKind};
 use ashsplat_program::output;
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -16,7 +16,7 @@ const READY: &str = "ready";
 /// Log of COLMAP's commands and output; it is moved beside the data set at the end.
 pub use ashsplat_files::colmap::POSES_LOG as LOG_FILE;
 
-const POSES: Locked = Locked { file: ".poses.lock", what: "`ashsplat poses`", option: "-o" };
+const POSES: LockKind = LockKind { file: ".poses.lock", what: "`ashsplat poses`", option: "-o" };
 
 /// Finished stages with keys of their inputs. A stage with the same inputs is not repeated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -28,7 +28,7 @@ struct State {
 }
 
 /// The unfinished work.
-pub struct Work {
+pub struct Workspace {
     dataset: PathBuf,
     folder: PathBuf,
     state: State,
@@ -37,7 +37,7 @@ pub struct Work {
     _lock: FolderLock,
 }
 
-impl Work {
+impl Workspace {
     /// Refuses a data set's folder that already has files to be written. `linked` includes its folder `images`.
     pub fn check(dataset: &Path, linked: bool) -> Result<()> {
         output::check_folder(dataset).map_err(|e| {
@@ -87,10 +87,10 @@ impl Work {
         atomic::create_folder(&folder)?;
         let lock = FolderLock::take(&folder, &POSES, None)?;
         let state = State::read(&folder);
-        let work =
+        let workspace =
             Self { dataset: dataset.to_owned(), state: state.unwrap_or_default(), folder, new, _lock: lock };
-        work.save()?;
-        Ok(work)
+        workspace.save()?;
+        Ok(workspace)
     }
 
     pub fn folder(&self) -> &Path {
