@@ -20,6 +20,7 @@ const FILES: &[(&str, &str)] = files![
     "detail.js",
     "edit.js",
     "tape.js",
+    "texts.js",
     "place.js",
     "link.js",
     "frames.js",
@@ -49,6 +50,7 @@ pub fn find(path: &str) -> Option<(&'static str, &'static str)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
 
     /// Every file that a page names is an asset.
     #[test]
@@ -68,5 +70,41 @@ mod tests {
             assert!(!foreign.contains("http://") && !foreign.contains("https://"), "{name}");
         }
         assert!(find("/").is_some() && find("/nothing").is_none());
+    }
+
+    /// The page names exactly the entries of texts.js, and has no text of its own but for one that needs no script.
+    #[test]
+    fn all_texts_stand_in_one_file() {
+        let other = |c: char| !c.is_ascii_alphanumeric();
+        let mut named = BTreeSet::new();
+        for (_, text) in FILES.iter().filter(|(name, _)| *name != "/texts.js") {
+            let text = text.replace("'./texts.js'", "");
+            for start in ["data-text=\"", "texts."] {
+                named.extend(
+                    text.split(start).skip(1).filter_map(|rest| rest.split(other).next()).map(str::to_owned),
+                );
+            }
+        }
+        let (_, texts) =
+            find("/texts.js").and_then(|(_, text)| text.split_once("export const texts")).expect("texts");
+        let entries = texts.match_indices(": ").filter_map(|(at, colon)| {
+            let name = texts[..at]
+                .rsplit(other)
+                .next()
+                .filter(|name| !["", "text", "title", "placeholder"].contains(name));
+            name.filter(|_| texts[at + colon.len()..].starts_with(['\'', '"', '(', '{', '[']))
+        });
+        let mut entries: Vec<&str> = entries.collect();
+        entries.sort_unstable();
+        assert_eq!(entries, named.iter().map(String::as_str).collect::<Vec<_>>());
+
+        let html = find("/").expect("a page").1;
+        for words in html.split('>').filter_map(|part| part.split('<').next()).map(str::trim) {
+            let stays = words == "ashsplat" || words.starts_with("loading the page; ");
+            assert!(stays || !words.contains(char::is_alphabetic), "{words}");
+        }
+        for attribute in [" title=", " aria-label=", " placeholder="] {
+            assert!(!html.contains(attribute), "{attribute}");
+        }
     }
 }
