@@ -257,26 +257,20 @@ frames.onShown = (header) => {
     window.ashsplat.shown = header;
 };
 
-/** Writes the texts into the elements that name them. */
+/** Writes the texts into the elements that name them. A row of one cell is a heading. */
 function fill() {
     document.documentElement.lang = language;
     for (const element of document.querySelectorAll('[data-text]')) {
         const entry = texts[element.dataset.text];
-        if (Array.isArray(entry)) { fillRows(element, entry); continue; }
-        const { text, ...attributes } = typeof entry === 'string' ? { text: entry } : entry;
+        const { text, rows = [], ...attributes } = typeof entry === 'string' ? { text: entry } : entry;
         if (text) element.textContent = text;
         for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+        for (const cells of rows) {
+            const cell = (text) => Object.assign(document.createElement(cells.length > 1 ? 'td' : 'th'), { textContent: text, colSpan: 3 - cells.length });
+            element.insertRow().append(...cells.map(cell));
+        }
     }
     document.body.classList.remove('loading');
-}
-
-/** Fills a table. A row of one cell is a heading. */
-function fillRows(table, rows) {
-    for (const cells of rows) {
-        const row = table.insertRow();
-        if (cells.length === 1) row.append(Object.assign(document.createElement('th'), { colSpan: 2, textContent: cells[0] }));
-        else for (const cell of cells) row.insertCell().textContent = cell;
-    }
 }
 
 /** Text with its parts between backquotes as code. */

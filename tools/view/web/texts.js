@@ -1,6 +1,6 @@
 // All texts of the page: a translation changes this file alone, and keeps the names before the colons.
 //
-// An entry is a text, an element's text and attributes, the rows of a table, or a function of what its text mentions.
+// An entry is a text, an element's text, attributes or rows, or a function of what its text mentions.
 
 export const language = 'en';
 
@@ -24,24 +24,19 @@ export const texts = {
     noAnswer: 'no answer: has the viewer ended, is its port still forwarded?', viewerEnded: 'no answer: has the viewer ended?',
     elsewhere: (status, path) => `${status} at ${path}, which a proxy must lead to the viewer`,
     starting: 'starting', waitingForScene: 'waiting for the scene', waitingForPicture: 'waiting for the first picture',
-    reading: (name) => `reading ${name}`,
-    opening: (path) => `opening ${path}`,
-    sending: (file) => `sending ${file}`,
+    reading: (name) => `reading ${name}`, opening: (path) => `opening ${path}`, sending: (file) => `sending ${file}`,
     waitedFor: (what, seconds) => `${what}, ${seconds} s`,
     opensNothing: 'this viewer shows what it was started with; start `ashsplat view` without a path to open others',
     wrongFormat: (file, formats) => `${file} is none of ${formats}`,
     tooLarge: (file, bytes, most) => `${file} has ${size(bytes)}; reading may take ${size(most)} here (--max-host-memory)`,
-    notSent: (file) => `${file} could not be sent`,
-    notAsked: (path) => `${path} could not be asked for`,
+    notSent: (file) => `${file} could not be sent`, notAsked: (path) => `${path} could not be asked for`,
     refused: (status) => `refused (${status})`,
-
     // The page without a scene.
     dropHere: 'Drop files here', chooseFiles: 'Choose files', open: 'Open',
     pathBelow: (folder) => ['or a path on the machine that draws, below ', folder],
     path: { placeholder: 'scene.ply, a model folder or a data set' },
     dropping: 'Drop to open; with Shift beside the open scene',
     scenesInFolder: (all) => (all ? 'Scenes in this folder' : 'Scenes in this folder, not all'),
-
     // The picture, and the line below it.
     picture: { 'aria-label': 'The scene. Drag to orbit, right-drag to pan, scroll to zoom.' },
     wipe: { title: 'Drag: photo on the left, render on the right' },
@@ -49,9 +44,8 @@ export const texts = {
     gaussians: (all) => count(all, GAUSSIANS),
     visible: (visible, all, instances) => `${number(visible)} of ${count(all, GAUSSIANS)} visible, ${count(instances, INSTANCES)}`,
     // Narrow screens leave out the second part.
-    speed: (rate, latency, rendering) => (latency === null ? [`${number(rate, 1)} frames/s`] : [`${number(rate, 1)} frames/s · ${number(latency)} ms`, `, of which rendering ${number(rendering)}`]),
+    speed: (rate, latency, rendering) => (latency === null ? [`${number(rate, 1)} frames/s`] : [`${number(rate, 1)} frames/s · ${Math.round(latency)} ms`, `, of which rendering ${Math.round(rendering)}`]),
     depthUnit: 'depth, scene units', tilesUnit: 'Gaussians per tile',
-
     // Tools.
     modes: { 'aria-label': 'What is drawn' },
     splats: { text: 'Splats', title: 'Splats: the picture itself (1)' },
@@ -77,28 +71,22 @@ export const texts = {
     noFullScreen: (reason) => `no whole screen: ${reason}`,
     help: { text: 'Keys', title: 'Keys, mouse and touch (?)' },
     panel: { title: 'Show or hide the panel (H)', 'aria-label': 'Show or hide the panel' },
-
     // Panel: training.
     training: 'Training',
     progress: (iteration, iterations, paused) => `${number(iteration)} / ${number(iterations)}${paused ? ', paused' : ''}`,
-    pause: { text: 'Pause', title: 'Pause and go on (Space)' }, resume: 'Resume',
-    trainingStep: { text: 'Step', title: 'One iteration' },
+    pause: { text: 'Pause', title: 'Pause and go on (Space)' }, resume: 'Resume', trainingStep: { text: 'Step', title: 'One iteration' },
     trainingSave: { text: 'Save', title: 'Save a PLY now' },
     trainingStop: { text: 'Stop', title: 'Save, write a checkpoint, end the training' },
     loss: 'Loss', psnr: 'PSNR, dB', trainedGaussians: 'Gaussians', rate: 'Iterations per second',
-
     // Panel: appearance.
     appearance: 'Appearance', fieldOfView: 'Field of view', splatScale: 'Scale', shDegree: 'SH degree',
-    background: 'Background', asTrained: 'as trained',
-    sharpness: 'Sharpness', fullResolution: 'full resolution', stillFrames: 'Still frames', jpeg: 'JPEG', png: 'PNG, lossless',
-
+    background: 'Background', asTrained: 'as trained', sharpness: 'Sharpness', fullResolution: 'full resolution', stillFrames: 'Still frames', jpeg: 'JPEG', png: 'PNG, lossless',
     // Panel: trees of tiles.
     detail: 'Level of detail', budget: 'Budget',
     budgetHelp: { title: 'Gaussians of a picture, at most: the tiles whose error is largest in pixels are the finest' },
     detailDrawn: (drawn, all, tiles) => `${number(drawn)} of ${count(all, GAUSSIANS)} in ${count(tiles, TILES)}`,
     detailTiles: (wanted, missing, resident, gaussians) => `${count(wanted, TILES)} wanted${missing ? `, ${number(missing)} on their way` : ''}; ${number(resident)} in memory (${count(gaussians, GAUSSIANS)})`,
     coarserTile: (problem, others) => `A coarser tile is drawn: ${problem}${others ? ` (and ${number(others)} more)` : ''}`,
-
     // Panel: filter and export.
     filter: 'Filter', showAll: 'show all',
     minOpacity: 'Min. opacity', minOpacityHelp: { title: 'Hides Gaussians that are fainter' }, everyOpacity: 'all',
@@ -109,10 +97,8 @@ export const texts = {
     boxZ: 'Box z', fromZ: { 'aria-label': 'z, from' }, toZ: { 'aria-label': 'z, to' },
     stay: (kept, all) => `${number(kept)} of ${count(all, GAUSSIANS)} stay`,
     command: 'The same by a command:', copyCommand: { text: 'Copy', title: 'Copy the command' }, copied: 'copied',
-    exportPart: { 'aria-label': 'What is saved' }, exportShown: 'shown', exportSelected: 'selected', exportFormat: { 'aria-label': 'Format' },
-    exportSave: 'Save',
+    exportPart: { 'aria-label': 'What is saved' }, exportShown: 'shown', exportSelected: 'selected', exportFormat: { 'aria-label': 'Format' }, exportSave: 'Save',
     exported: (file, losses) => [`${file} is made; the browser saves it as it comes`, ...losses].join('; '),
-
     // Panel: selection.
     selection: 'Selection',
     edits: (selected, hidden, deleted) => [selected && `${number(selected)} selected`, hidden && `${number(hidden)} hidden`, deleted && `${number(deleted)} deleted`].filter(Boolean).join(', '),
@@ -124,7 +110,6 @@ export const texts = {
     delete: { text: 'Delete', title: 'Delete the selection; no file changes (Del)' },
     undo: { text: 'Undo', title: 'Ctrl Z' }, redo: { text: 'Redo', title: 'Ctrl Shift Z, Ctrl Y' },
     selectScene: (name, gaussians) => `Select this scene: ${name}, ${count(gaussians, GAUSSIANS)}`,
-
     // Panel: placement and tape.
     placement: 'Placement', reset: 'reset',
     turn: { text: 'Turn, °', title: 'Degrees about x, then y, then z' },
@@ -138,7 +123,6 @@ export const texts = {
     knownLength: 'Known length', knownLengthHelp: { title: 'Scales the scene so that the tape is that long' },
     noTapeEnd: 'nothing is there to measure from', otherEnd: 'click the other end',
     tapeLength: (units) => `${units} units of the scene`,
-
     // Panel: photos, and the Gaussians of a pixel.
     photos: 'Photos', heldOut: 'held out',
     photoTitle: (name, heldOut, lit) => [name, heldOut && 'held out', lit && 'its exposure is known'].filter(Boolean).join(', '),
@@ -151,7 +135,6 @@ export const texts = {
     pixelAt: (x, y, gaussians) => `${x}, ${y} · ${count(gaussians, GAUSSIANS)}`,
     pixelSum: (color, percent, depth) => `${color}, ${percent} % opaque${depth === null ? '' : `, half the light from before ${depth}`}`,
     pixelColumns: ['id', 'depth', 'alpha', 'weight', 'left'],
-
     // Panel: camera path and film.
     film: 'Camera path',
     filmKeys: (keys) => (keys ? count(keys, KEYS) : 'add keys as you look around'),
@@ -168,38 +151,19 @@ export const texts = {
     filmFrame: (done, all) => `frame ${done} of ${all}`,
     filmJoins: 'putting it together', theFilm: 'the film', gif: 'GIF', mp4: 'MP4', filmPath: 'path',
     filmFiles: (folder, note) => `Frames in ${folder}${note ? `; ${note}` : ''}`,
-
     // The list of keys.
     listTitle: 'Mouse, touch, keys', listClose: 'Close',
-    mouseAndTouch: [
-        ['Mouse'],
-        ['left or middle drag', 'orbit (look around in fly mode)'],
-        ['right, Shift or Shift-middle drag', 'pan'],
-        ['wheel, Ctrl drag', 'closer, farther'],
-        ['double click', 'turn around what is there'],
-        ['Alt click', 'inspect a pixel'],
-        ['Touch'],
-        ['one finger', 'orbit'],
-        ['two fingers', 'pan and zoom'],
-        ['double tap', 'turn around what is there']
-    ],
-    keys: [
-        ['Keys'],
-        ['W A S D, Q E', 'fly; Shift faster, Alt slower'],
-        ['arrows', 'orbit'],
-        ['+ −', 'closer, farther'],
-        ['1 … 6', 'splats, centres, ellipsoids, depth, tiles, normals'],
-        ['V, I, C', 'fly, inspect, cameras'],
-        ['G, B, N, M', 'lasso, brush, sphere, measure; Shift adds, Alt removes'],
-        ['Del, Ctrl Z, Ctrl Shift Z', 'delete the selection, undo, redo'],
-        ['F, Home', 'face the pivot, first view'],
-        ['Shift F', 'whole screen'],
-        ['[ ]', 'photo before, after'],
-        ['L', "as photographed: the photo's exposure and lens"],
-        ['K, P', 'add a key, screenshot'],
-        ['X', 'filter off, and on again'],
-        ['Space', 'pause training, and go on'],
-        ['O', 'open a file, where none was given'],
-        ['H, Esc, ?', 'panel, close, this list']
-    ]
+    mouseAndTouch: { rows: [
+        ['Mouse'], ['left or middle drag', 'orbit (look around in fly mode)'], ['right, Shift or Shift-middle drag', 'pan'],
+        ['wheel, Ctrl drag', 'closer, farther'], ['double click', 'turn around what is there'], ['Alt click', 'inspect a pixel'],
+        ['Touch'], ['one finger', 'orbit'], ['two fingers', 'pan and zoom'], ['double tap', 'turn around what is there']
+    ] },
+    keys: { rows: [
+        ['Keys'], ['W A S D, Q E', 'fly; Shift faster, Alt slower'], ['arrows', 'orbit'], ['+ −', 'closer, farther'],
+        ['1 … 6', 'splats, centres, ellipsoids, depth, tiles, normals'], ['V, I, C', 'fly, inspect, cameras'],
+        ['G, B, N, M', 'lasso, brush, sphere, measure; Shift adds, Alt removes'], ['Del, Ctrl Z, Ctrl Shift Z', 'delete the selection, undo, redo'],
+        ['F, Home', 'face the pivot, first view'], ['Shift F', 'whole screen'], ['[ ]', 'photo before, after'],
+        ['L', "as photographed: the photo's exposure and lens"], ['K, P', 'add a key, screenshot'], ['X', 'filter off, and on again'],
+        ['Space', 'pause training, and go on'], ['O', 'open a file, where none was given'], ['H, Esc, ?', 'panel, close, this list']
+    ] }
 };
