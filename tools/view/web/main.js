@@ -257,7 +257,7 @@ frames.onShown = (header) => {
     window.ashsplat.shown = header;
 };
 
-/** Writes the texts into the elements that name them. A row of one cell is a heading. */
+/** Writes the texts into the elements that name them; a row of one cell is a heading. Until then only the state line is shown. */
 function fill() {
     document.documentElement.lang = language;
     for (const element of document.querySelectorAll('[data-text]')) {
@@ -270,7 +270,7 @@ function fill() {
             element.insertRow().append(...cells.map(cell));
         }
     }
-    document.body.classList.remove('loading');
+    for (const part of ['title', 'tools', 'panel', 'panel-toggle', 'status']) find(part).hidden = false;
 }
 
 /** Text with its parts between backquotes as code. */
