@@ -20,6 +20,7 @@ const FILES: &[(&str, &str)] = files![
     "detail.js",
     "edit.js",
     "tape.js",
+    "texts.js",
     "place.js",
     "link.js",
     "frames.js",
@@ -49,6 +50,7 @@ pub fn find(path: &str) -> Option<(&'static str, &'static str)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
 
     /// Every file that a page names is an asset.
     #[test]
@@ -68,5 +70,42 @@ mod tests {
             assert!(!foreign.contains("http://") && !foreign.contains("https://"), "{name}");
         }
         assert!(find("/").is_some() && find("/nothing").is_none());
+    }
+
+    /// The page names exactly the entries of texts.js, and has no text of its own but for one that needs no script.
+    #[test]
+    fn all_texts_stand_in_one_file() {
+        let alphanumeric = |c: char| c.is_ascii_alphanumeric();
+        let mut named = BTreeSet::new();
+        for (_, file) in FILES.iter().filter(|(name, _)| *name != "/texts.js") {
+            for start in ["data-text=\"", "texts."] {
+                let names =
+                    file.split(start).skip(1).filter_map(|rest| rest.split(|c| !alphanumeric(c)).next());
+                named.extend(names);
+            }
+        }
+        // Imports name the file.
+        named.remove("js");
+        let (_, file) = find("/texts.js").expect("texts");
+        let (_, texts) = file.split_once("export const texts").expect("texts");
+        let words: Vec<&str> = texts.split_whitespace().collect();
+        let mut entries = BTreeSet::new();
+        for pair in words.windows(2).filter(|pair| pair[1].starts_with(['\'', '"', '(', '{', '['])) {
+            let name =
+                pair[0].strip_suffix(':').filter(|name| name.chars().all(alphanumeric)).unwrap_or_default();
+            let part = ["", "text", "title", "placeholder", "rows"].contains(&name);
+            assert!(part || entries.insert(name), "{name} twice");
+        }
+        let different: Vec<_> = entries.symmetric_difference(&named).collect();
+        assert!(different.is_empty(), "{different:?}");
+
+        let html = find("/").expect("a page").1;
+        for words in html.split('>').filter_map(|part| part.split('<').next()).map(str::trim) {
+            let stays = words == "ashsplat" || words.starts_with("loading the page; ");
+            assert!(stays || !words.contains(char::is_alphabetic), "{words}");
+        }
+        for attribute in [" title=", " aria-label=", " placeholder="] {
+            assert!(!html.contains(attribute), "{attribute}");
+        }
     }
 }

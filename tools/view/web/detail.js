@@ -1,10 +1,10 @@
 // A tree of tiles: how much of it is drawn, and within which budget of Gaussians.
 
+import { texts } from './texts.js';
+
 const find = (id) => document.getElementById(id);
 /** Steps of the slider, which is logarithmic. */
 const STEPS = 100;
-
-const count = (number) => number.toLocaleString('en');
 
 export class Detail {
     constructor() {
@@ -39,12 +39,10 @@ export class Detail {
 
     showFrame({ tree, stats }) {
         if (!tree || !this.tree) return;
-        find('detail-drawn').textContent = `${count(stats.gaussians)} of ${count(tree.of)} Gaussians in ${count(tree.drawn)} tiles`;
-        const waits = tree.missing ? `, ${count(tree.missing)} on their way` : '';
-        find('detail-tiles').textContent = `${count(tree.wanted)} tiles wanted${waits}; ${count(tree.resident)} in memory (${count(tree.resident_gaussians)} Gaussians)`;
-        const more = tree.problems > 1 ? ` (and ${tree.problems - 1} more)` : '';
+        find('detail-drawn').textContent = texts.detailDrawn(stats.gaussians, tree.of, tree.drawn);
+        find('detail-tiles').textContent = texts.detailTiles(tree.wanted, tree.missing, tree.resident, tree.resident_gaussians);
         find('detail-problem').hidden = !tree.problem;
-        find('detail-problem').textContent = tree.problem ? `A coarser tile is drawn: ${tree.problem}${more}` : '';
+        find('detail-problem').textContent = tree.problem ? texts.coarserTile(tree.problem, tree.problems - 1) : '';
     }
 }
 

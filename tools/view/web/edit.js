@@ -1,6 +1,8 @@
 // Selecting Gaussians with lasso, brush and sphere; hiding, deleting, undo. The program keeps the states of all Gaussians for all
 // pages, and each frame has their counts.
 
+import { texts } from './texts.js';
+
 const find = (id) => document.getElementById(id);
 /** Most points of a stroke; the program accepts little more. */
 const MOST_POINTS = 1000;
@@ -32,8 +34,7 @@ export class Edit {
         find('edit-scenes').replaceChildren(...scene.scenes.map(({ name, count }) => {
             const region = { kind: 'range', first, count };
             first += count;
-            const title = `Select this scene: ${name}, ${count.toLocaleString('en')} Gaussians`;
-            return Object.assign(document.createElement('button'), { textContent: name, title, onclick: (event) => this.select(region, how(event)) });
+            return Object.assign(document.createElement('button'), { textContent: name, title: texts.selectScene(name, count), onclick: (event) => this.select(region, how(event)) });
         }));
         this.showFrame({ edits: null });
     }
@@ -49,7 +50,7 @@ export class Edit {
     get size() { return Number(find('brush-size').value); }
 
     showSize() {
-        find('brush-size').parentElement.querySelector('output').textContent = `${this.size} px`;
+        find('brush-size').parentElement.querySelector('output').textContent = texts.pixels(this.size);
     }
 
     /** Shows the brush's ring under the pointer. */
@@ -99,7 +100,7 @@ export class Edit {
         };
         const finish = () => {
             this.hover(null);
-            if (!center) return this.link.emit('note', { message: 'nothing is there: begin on a surface, and drag outwards' });
+            if (!center) return this.link.emit('note', { message: texts.noSurface });
             const [camera, scale] = this.view();
             const radius = pixels() * scale * depth / camera.fy;
             if (radius > 0) this.select({ kind: 'sphere', center, radius }, how);
@@ -125,8 +126,7 @@ export class Edit {
 
     showFrame({ edits }) {
         const { selected, hidden, deleted, undo, redo } = edits ?? { selected: 0, hidden: 0, deleted: 0, undo: 0, redo: 0 };
-        const counts = [[selected, 'selected'], [hidden, 'hidden'], [deleted, 'deleted']].filter(([count]) => count);
-        find('edit-count').textContent = counts.map(([count, what]) => `${count.toLocaleString('en')} ${what}`).join(', ');
+        find('edit-count').textContent = texts.edits(selected, hidden, deleted);
         const possible = { hide: selected, show: hidden, delete: selected, undo, redo };
         for (const op of COMMANDS) find(`edit-${op}`).disabled = !possible[op];
         find('select-none').disabled = !selected;

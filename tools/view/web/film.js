@@ -3,6 +3,7 @@
 import { between } from './camera.js';
 import { download } from './frames.js';
 import { add, sub, times } from './maths.js';
+import { texts } from './texts.js';
 
 /** Widest GIF that the program writes, pixels. */
 const GIF_WIDTH = 640;
@@ -33,7 +34,7 @@ export class Film {
         const { seconds, frames_per_second: rate, width, height } = this.settings();
         const small = Math.min(width, GIF_WIDTH), low = Math.floor(height * small / width);
         const megabytes = small * low * seconds * Math.min(rate, 50) * GIF_BYTES / 1e6;
-        find('film-note').textContent = `${Math.max(1, Math.round(seconds * rate))} frames of ${width}×${height}; the GIF has ${small}×${low}, about ${megabytes.toFixed(megabytes < 10 ? 1 : 0)} MB`;
+        find('film-note').textContent = texts.filmNote(Math.max(1, Math.round(seconds * rate)), `${width}×${height}`, `${small}×${low}`, megabytes);
     }
 
     settings() {
@@ -53,11 +54,11 @@ export class Film {
     }
 
     list() {
-        find('film-count').textContent = this.keys.length ? `${this.keys.length} keys` : 'add keys as you look around';
+        find('film-count').textContent = texts.filmKeys(this.keys.length);
         find('film-keys').replaceChildren(...this.keys.map((key, index) => {
             const box = document.createElement('span');
-            const go = Object.assign(document.createElement('button'), { textContent: index + 1, title: 'Go there', onclick: () => this.camera.takeKey(key) });
-            const drop = Object.assign(document.createElement('button'), { textContent: '×', title: 'Remove', onclick: () => { this.keys.splice(index, 1); this.list(); } });
+            const go = Object.assign(document.createElement('button'), { textContent: index + 1, title: texts.filmGo, onclick: () => this.camera.takeKey(key) });
+            const drop = Object.assign(document.createElement('button'), { textContent: '×', title: texts.filmDrop, onclick: () => { this.keys.splice(index, 1); this.list(); } });
             box.append(go, drop);
             return box;
         }));
@@ -71,7 +72,7 @@ export class Film {
         try {
             const path = JSON.parse(await file.text());
             const sound = (key) => key.position.length === 3 && key.rotation.length === 3 && key.fov_y > 0;
-            if (!path.keys.every(sound)) throw new Error('its keys are not whole');
+            if (!path.keys.every(sound)) throw new Error(texts.filmKeysBroken);
             const { origin, unit } = this.frame;
             this.keys = path.keys.map((key) => ({ ...key, position: times(sub(key.position, origin), 1 / unit) }));
             if (path.seconds) find('film-seconds').value = path.seconds;
@@ -80,14 +81,14 @@ export class Film {
             this.list();
             this.note();
         } catch (error) {
-            this.link.emit('problem', { message: `${file.name} is not a camera path of this page: ${error.message}` });
+            this.link.emit('problem', { message: texts.filmUnreadable(file.name, error.message) });
         }
     }
 
     preview() {
         this.playing = !this.playing;
         this.from = performance.now();
-        find('film-preview').textContent = this.playing ? 'Stop' : 'Preview';
+        find('film-preview').textContent = this.playing ? texts.filmStop : texts.filmPreview;
     }
 
     tick(now) {
@@ -102,9 +103,9 @@ export class Film {
         find('film-result').replaceChildren();
         if (!this.link.send({ type: 'film', keys: this.keys, look: this.look(), ...this.settings() })) return;
         this.rendering = true;
-        find('film-render').textContent = 'Cancel';
+        find('film-render').textContent = texts.filmCancel;
         find('film-progress').hidden = false;
-        this.bar(0, 1, 'waiting');
+        this.bar(0, 1, texts.filmWaits(0));
     }
 
     bar(done, total, text) {
@@ -114,21 +115,21 @@ export class Film {
 
     stopped() {
         this.rendering = false;
-        find('film-render').textContent = 'Render film';
+        find('film-render').textContent = texts.filmRender;
         find('film-progress').hidden = true;
     }
 
     progress({ done, total, files, cancelled, waiting }) {
         if (cancelled) return this.stopped();
-        if (waiting !== undefined) return this.bar(0, 1, waiting ? `waiting for ${waiting === 1 ? 'another film' : `${waiting} films`}` : 'waiting');
-        this.bar(done, total, done === total && !files ? 'putting it together' : `frame ${done} of ${total}`);
+        if (waiting !== undefined) return this.bar(0, 1, texts.filmWaits(waiting));
+        this.bar(done, total, done === total && !files ? texts.filmJoins : texts.filmFrame(done, total));
         if (!files) return;
         this.stopped();
         const saved = (name, text) => Object.assign(document.createElement('a'), { href: `film/${name}`, download: name, textContent: text });
-        const picture = Object.assign(new Image(), { src: `film/${files.gif}`, alt: 'the film' });
-        const links = [saved(files.gif, 'GIF'), saved(files.path, 'path')];
-        if (files.mp4) links.unshift(saved(files.mp4, 'MP4'));
-        const note = Object.assign(document.createElement('p'), { textContent: `Frames in ${files.frames}${files.note ? `; ${files.note}` : ''}` });
+        const picture = Object.assign(new Image(), { src: `film/${files.gif}`, alt: texts.theFilm });
+        const links = [saved(files.gif, texts.gif), saved(files.path, texts.filmPath)];
+        if (files.mp4) links.unshift(saved(files.mp4, texts.mp4));
+        const note = Object.assign(document.createElement('p'), { textContent: texts.filmFiles(files.frames, files.note) });
         find('film-result').replaceChildren(picture, ...links, note);
     }
 }

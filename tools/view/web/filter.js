@@ -2,6 +2,7 @@
 // frame names the command that cuts the file in the same way.
 
 import { download } from './frames.js';
+import { texts } from './texts.js';
 
 const find = (id) => document.getElementById(id);
 const AXES = ['x', 'y', 'z'];
@@ -122,8 +123,8 @@ export class Filter {
     show() {
         const text = (id, words) => { find(id).parentElement.querySelector('output').textContent = words; };
         const opacity = Number(find('min-opacity').value), { share } = this;
-        text('min-opacity', opacity ? opacity.toFixed(2) : 'all');
-        text('floaters', share ? `${Number((100 * share).toPrecision(2))} %` : 'shown');
+        text('min-opacity', opacity ? opacity.toFixed(2) : texts.everyOpacity);
+        text('floaters', share ? `${Number((100 * share).toPrecision(2))} %` : texts.floatersShown);
         this.sides.forEach(([from, to]) => {
             const bar = from.parentElement.querySelector('i');
             Object.assign(bar.style, { left: `${100 * from.value / STEPS}%`, right: `${100 - 100 * to.value / STEPS}%` });
@@ -187,7 +188,7 @@ export class Filter {
         if (!answer?.ok) return;
         const { kept, of } = await answer.json();
         if (address !== this.counted) return;
-        find('cut-count').textContent = `${kept.toLocaleString('en')} of ${of.toLocaleString('en')} Gaussians stay`;
+        find('cut-count').textContent = texts.stay(kept, of);
         find('cut-count').hidden = false;
     }
 
@@ -195,7 +196,7 @@ export class Filter {
         const box = find('command-text');
         try {
             await navigator.clipboard.writeText(box.textContent);
-            this.say('copied');
+            this.say(texts.copied);
         } catch {
             // Without access to the clipboard, the command is selected so that the user can copy it.
             getSelection().selectAllChildren(box);
@@ -209,10 +210,10 @@ export class Filter {
         const mark = part ? '_selection' : this.edited || !find('command').hidden ? '_cut' : '';
         const name = `${this.scene.stem}${mark}${format}`, query = `${this.shown}${this.placement.query}${part && `&part=${part}`}`;
         const answer = await fetch(`count?${query}&format=${format.slice(1)}`).catch(() => null);
-        if (!answer?.ok) return this.say(answer ? (await answer.text()).trim().replace(/^\d+: /, '') : 'no answer: has the viewer ended?');
+        if (!answer?.ok) return this.say(answer ? (await answer.text()).trim().replace(/^\d+: /, '') : texts.viewerEnded);
         const { losses } = await answer.json();
         download(`export/${encodeURIComponent(name)}?${query}`, name);
-        this.say([`${name} is made; the browser saves it as it comes`, ...losses].join('; '));
+        this.say(texts.exported(name, losses));
     }
 }
 

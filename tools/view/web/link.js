@@ -1,5 +1,7 @@
 // The WebSocket: messages by type, frames, and reconnection.
 
+import { texts } from './texts.js';
+
 const FIRST_DELAY = 250, LONGEST_DELAY = 4000;
 
 export class Link {
@@ -55,7 +57,7 @@ export class Link {
     async explain() {
         const answer = await fetch(this.address, { method: 'POST' }).catch(() => null);
         const words = answer?.headers.get('Content-Type')?.startsWith('text/plain') && (await answer.text()).trim();
-        const problem = words || (answer ? `${answer.status} at ${this.address.pathname}, which a proxy must lead to the viewer` : 'no answer: has the viewer ended, is its port still forwarded?');
+        const problem = words || (answer ? texts.elsewhere(answer.status, this.address.pathname) : texts.noAnswer);
         if (!this.isOpen) this.emit('unreachable', problem);
     }
 

@@ -15,10 +15,12 @@ import { Photos } from './photos.js';
 import { Picker } from './pick.js';
 import { Stage } from './stage.js';
 import { Tape } from './tape.js';
+import { language, texts } from './texts.js';
 import { Training } from './training.js';
 
 export const find = (id) => document.getElementById(id);
 
+fill();
 const link = new Link();
 const camera = new Camera();
 const panel = new Panel();
@@ -116,16 +118,16 @@ function cover() {
 
 function fullscreen() {
     if (document.fullscreenElement) document.exitFullscreen();
-    else document.documentElement.requestFullscreen().catch((error) => say(`no whole screen: ${error.message}`));
+    else document.documentElement.requestFullscreen().catch((error) => say(texts.noFullScreen(error.message)));
 }
 
 /** Copies the page's address with this view; a token stays in it. */
 async function copyLink() {
     if (!scene || scene.empty) return;
     history.replaceState(null, '', camera.link(scene.frame));
-    const token = location.search.includes('token=') ? ', with the token in it' : '';
+    const token = location.search.includes('token=');
     const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
-    say(copied ? `copied: the page's address with this view${token}` : `the page's address has this view now${token}: copy it`);
+    say(copied ? texts.linkCopied(token) : texts.linkShown(token));
 }
 
 function listKeys() {
@@ -197,11 +199,11 @@ function escape() {
 }
 
 link.on('open', () => {
-    find('connection').textContent = 'connected';
+    find('connection').textContent = texts.connected;
     find('connection').classList.remove('bad');
 });
 link.on('close', () => {
-    find('connection').textContent = 'connection lost, trying again';
+    find('connection').textContent = texts.connectionLost;
     find('connection').classList.add('bad');
 });
 link.on('page', ({ page }) => { photos.page = page; });
@@ -213,7 +215,7 @@ link.on('scene', (message) => {
     find('scene-name').textContent = `\u200e${message.name}`;
     find('scene-name').title = message.name;
     find('scene-brief').textContent = message.name.split('/').filter(Boolean).at(-1) ?? '';
-    find('scene-note').textContent = message.empty ? '' : message.note ?? `${message.gaussians.toLocaleString('en')} Gaussians`;
+    find('scene-note').textContent = message.empty ? '' : message.note ?? texts.gaussians(message.gaussians);
     document.title = `${message.name.split('/').filter(Boolean).at(-1) ?? ''} · ashsplat`;
     find('device').textContent = message.device;
     if (message.empty) find('welcome-note').replaceChildren(...marked(message.note ?? ''));
@@ -254,6 +256,22 @@ frames.onShown = (header) => {
     photos.drawn(header);
     window.ashsplat.shown = header;
 };
+
+/** Writes the texts into the elements that name them; a row of one cell is a heading. Until then only the state line is shown. */
+function fill() {
+    document.documentElement.lang = language;
+    for (const element of document.querySelectorAll('[data-text]')) {
+        const entry = texts[element.dataset.text];
+        const { text, rows = [], ...attributes } = typeof entry === 'string' ? { text: entry } : entry;
+        if (text) element.textContent = text;
+        for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+        for (const cells of rows) {
+            const cell = (text) => Object.assign(document.createElement(cells.length > 1 ? 'td' : 'th'), { textContent: text, colSpan: 3 - cells.length });
+            element.insertRow().append(...cells.map(cell));
+        }
+    }
+    for (const part of ['title', 'tools', 'panel', 'panel-toggle', 'status']) find(part).hidden = false;
+}
 
 /** Text with its parts between backquotes as code. */
 function marked(text) {

@@ -1,9 +1,11 @@
 // The tools on the left, the appearance on the right, the line at the bottom.
 
+import { texts } from './texts.js';
+
 const find = (id) => document.getElementById(id);
 /** Tools of the pointer; at most one is on. */
 const TOOLS = ['inspect', 'lasso', 'brush', 'sphere', 'tape', 'level'];
-const UNITS = { depth: 'depth, scene units', tiles: 'Gaussians per tile' };
+const UNITS = { depth: texts.depthUnit, tiles: texts.tilesUnit };
 
 export class Panel {
     constructor() {
@@ -90,10 +92,9 @@ export class Panel {
     showFrame(header, rate) {
         const { stats, legend } = header;
         find('size').textContent = `${header.width}×${header.height}`;
-        const wait = header.latency === null ? '' : ` · ${Math.round(header.latency)} ms`;
-        const drawing = Object.assign(document.createElement('small'), { textContent: wait && `, of which rendering ${Math.round(header.render_ms)}` });
-        find('speed').replaceChildren(`${rate.toFixed(1)} frames/s${wait}`, drawing);
-        find('counts').textContent = `${stats.visible.toLocaleString('en')} of ${stats.gaussians.toLocaleString('en')} Gaussians visible, ${stats.instances.toLocaleString('en')} instances`;
+        const [speed, rendering = ''] = texts.speed(rate, header.latency, header.render_ms);
+        find('speed').replaceChildren(speed, Object.assign(document.createElement('small'), { textContent: rendering }));
+        find('counts').textContent = texts.visible(stats.visible, stats.gaussians, stats.instances);
         const has = Array.isArray(legend) && this.mode in UNITS;
         find('legend').hidden = !has;
         if (!has) return;

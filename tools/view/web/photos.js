@@ -1,5 +1,7 @@
 // The data set's photos: jumping to a photo's camera, and comparing photo and render with a wipe.
 
+import { texts } from './texts.js';
+
 const find = (id) => document.getElementById(id);
 
 export class Photos {
@@ -18,7 +20,7 @@ export class Photos {
         find('photo-close').onclick = () => this.close();
         find('photo-light').onchange = () => this.frames.leap();
         find('photo').onload = () => { this.loading = false; this.follow(); };
-        find('photo').onerror = () => { this.loading = false; find('wipe-photo').textContent = 'photo: cannot be read'; this.follow(); };
+        find('photo').onerror = () => { this.loading = false; find('wipe-photo').textContent = texts.photoUnreadable; this.follow(); };
     }
 
     open({ cameras, has_photos: hasPhotos, run }) {
@@ -32,11 +34,12 @@ export class Photos {
         find('photo-lit').hidden = !cameras.some(({ lit }) => lit);
         find('photo-list').replaceChildren(...cameras.map(({ name, label: text, lit, held_out: heldOut }, index) => {
             const button = document.createElement('button');
-            button.title = [name, heldOut && 'held out', lit && 'its exposure is known'].filter(Boolean).join(', ');
+            button.title = texts.photoTitle(name, heldOut, lit);
             button.classList.toggle('lit', lit);
             button.classList.toggle('held-out', heldOut);
             button.onclick = () => this.jumpTo(index);
             const label = Object.assign(document.createElement('span'), { textContent: text });
+            label.dataset.heldOut = texts.heldOut;
             if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: this.address('thumbnail', index), alt: '' }));
             else button.classList.add('plain');
             button.append(label);
@@ -62,7 +65,7 @@ export class Photos {
         find('photo-list').children[index].scrollIntoView({ block: 'nearest' });
         if (this.hasPhotos) {
             find('photo').src = this.address('photo', index);
-            find('wipe-photo').textContent = entry.held_out ? 'photo, held out' : 'photo';
+            find('wipe-photo').textContent = entry.held_out ? texts.photoHeldOut : texts.photo;
             this.shown = this.loading = true;
             this.drawnBefore = this.frames.seq;
         }

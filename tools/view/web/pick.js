@@ -1,5 +1,7 @@
 // A pixel's Gaussians, and the pivot under the pointer.
 
+import { texts } from './texts.js';
+
 const find = (id) => document.getElementById(id);
 const css = (color) => `rgb(${color.map((c) => Math.round(255 * Math.min(1, Math.max(0, c)))).join(' ')})`;
 
@@ -44,13 +46,14 @@ export class Picker {
 
     show({ pixel, samples, color, transmittance, depth }) {
         find('picked').hidden = false;
-        find('picked-where').textContent = `${pixel.join(', ')} · ${samples.length} Gaussians`;
+        find('picked-where').textContent = texts.pixelAt(...pixel, samples.length);
         const swatch = Object.assign(document.createElement('i'), { className: 'swatch' });
         swatch.style.background = css(color);
-        const at = depth === null ? '' : `, half the light from before ${(depth * this.unit).toPrecision(4)}`;
-        find('picked-sum').replaceChildren(swatch, `${color.map((c) => c.toFixed(3)).join(' ')}, ${(100 * (1 - transmittance)).toFixed(1)} % opaque${at}`);
+        const before = depth === null ? null : (depth * this.unit).toPrecision(4);
+        find('picked-sum').replaceChildren(swatch, texts.pixelSum(color.map((c) => c.toFixed(3)).join(' '), (100 * (1 - transmittance)).toFixed(1), before));
         const table = document.createElement('table');
-        table.createTHead().innerHTML = '<tr><th></th><th>id</th><th>depth</th><th>alpha</th><th>weight</th><th>left</th></tr>';
+        const head = table.createTHead().insertRow();
+        for (const text of ['', ...texts.pixelColumns]) head.append(Object.assign(document.createElement('th'), { textContent: text }));
         const body = table.createTBody();
         for (const s of samples) {
             const row = body.insertRow();

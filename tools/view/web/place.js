@@ -2,6 +2,7 @@
 // axes, and the command and the exported file move the scene into them.
 
 import { add, cross, dot, looking, normalize, sub, times, turn } from './maths.js';
+import { texts } from './texts.js';
 
 const find = (id) => document.getElementById(id);
 const DEGREE = Math.PI / 180;
@@ -54,7 +55,7 @@ export class Place {
     read() {
         const values = Object.fromEntries(Object.entries(this.inputs).map(([kind, inputs]) => [kind, inputs.map((input) => rounded(Number(input.value)))]));
         const sound = Object.values(values).flat().every(Number.isFinite) && values.scale[0] > 0;
-        if (!sound) this.say('a turn and a move are numbers, and a scale is a positive number');
+        if (!sound) this.say(texts.badPlacement);
         this.set(sound ? values : {});
     }
 
@@ -92,7 +93,7 @@ export class Place {
     /** Takes clicks on the floor; three of them level the scene, with the floor at height 0. */
     click(x, y) {
         this.picker.ask(x, y, ({ point }) => {
-            if (!point) return this.say('nothing is there: click the floor');
+            if (!point) return this.say(texts.noFloor);
             this.points.push(point);
             if (this.points.length === 3) this.level(this.points.splice(0));
             this.show();
@@ -101,7 +102,7 @@ export class Place {
 
     level([a, b, c]) {
         let normal = normalize(cross(sub(b, a), sub(c, a)), null);
-        if (!normal) return this.say('the three points lie on a line: click others');
+        if (!normal) return this.say(texts.noTriangle);
         if (dot(normal, this.camera.up) < 0) normal = times(normal, -1);
         const { vertical } = this, from = apply(this.rows, normal);
         const axis = cross(from, vertical), angle = Math.atan2(Math.hypot(...axis), dot(from, vertical));

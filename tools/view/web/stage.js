@@ -1,5 +1,7 @@
 // Messages while there is no picture, and files to open: dropped, chosen, or by a path.
 
+import { texts } from './texts.js';
+
 const find = (id) => document.getElementById(id);
 /** Work that takes longer than this is shown with its time, ms. */
 const LONG = 1500;
@@ -9,14 +11,14 @@ const PAUSE = 150;
 export class Stage {
     /** `say` shows a message to the user. */
     constructor(link, say) {
-        Object.assign(this, { link, say, text: 'connecting', since: performance.now(), failed: false, pictured: false, waits: true, opens: null, others: [] });
+        Object.assign(this, { link, say, text: texts.connecting, since: performance.now(), failed: false, pictured: false, waits: true, opens: null, others: [] });
         setInterval(() => this.show(), 500);
-        link.on('loading', ({ name, failed }) => (failed ? this.fail(failed) : this.wait(name ? `reading ${name}` : 'starting')));
-        link.on('open', () => { if (this.waits && !this.failed) this.wait('waiting for the scene'); });
+        link.on('loading', ({ name, failed }) => (failed ? this.fail(failed) : this.wait(name ? texts.reading(name) : texts.starting)));
+        link.on('open', () => { if (this.waits && !this.failed) this.wait(texts.waitingForScene); });
         link.on('scene', (scene) => this.open(scene));
         link.on('problem', ({ message }) => { if (!this.pictured && this.waits) this.fail(message); });
-        link.on('unreachable', (problem) => { if (!this.pictured) this.fail(`no connection, trying again: ${problem}`); });
-        link.on('close', () => { if (!this.pictured && !this.failed) this.wait('no connection, trying again'); });
+        link.on('unreachable', (problem) => { if (!this.pictured) this.fail(texts.noConnection(problem)); });
+        link.on('close', () => { if (!this.pictured && !this.failed) this.wait(texts.noConnection()); });
         find('opener').onsubmit = (event) => { event.preventDefault(); this.openPath(find('path').value.trim()); };
         find('path').oninput = () => {
             clearTimeout(this.typed);
@@ -64,7 +66,8 @@ export class Stage {
             find('drop-formats').textContent = formats.join(', ');
             find('choose-file').accept = formats.join(',');
             find('open-path').hidden = this.opens.folder === null;
-            find('open-folder').textContent = this.opens.folder ?? '';
+            const folder = Object.assign(document.createElement('code'), { textContent: this.opens.folder });
+            find('path-label').replaceChildren(...texts.pathBelow(folder));
             this.complete();
             this.list(scene.name);
         }
@@ -72,7 +75,7 @@ export class Stage {
         this.pictured &&= scene.run === this.run;
         this.run = scene.run;
         if (scene.empty || this.pictured) this.rest();
-        else this.wait('waiting for the first picture');
+        else this.wait(texts.waitingForPicture);
     }
 
     /** A picture has arrived. */
@@ -108,15 +111,15 @@ export class Stage {
         box.classList.toggle('failed', failed);
         box.classList.toggle('closes', this.closes);
         const time = performance.now() - since;
-        const told = failed || time < LONG ? '' : `, ${Math.round(time / 1000)} s`;
-        if (find('stage-text').textContent !== text + told) find('stage-text').textContent = text + told;
+        const shown = failed || time < LONG ? text : texts.waitedFor(text, Math.round(time / 1000));
+        if (find('stage-text').textContent !== shown) find('stage-text').textContent = shown;
         find('stage-progress').hidden = share === null || share === undefined;
         find('stage-progress').querySelector('i').style.width = `${100 * (share ?? 0)}%`;
     }
 
     /** True if pages may open scenes here; otherwise says why not. */
     mayOpen() {
-        if (!this.opens) this.say('this viewer shows what it was started with; start `ashsplat view` without a path to open others');
+        if (!this.opens) this.say(texts.opensNothing);
         return Boolean(this.opens);
     }
 
@@ -133,16 +136,16 @@ export class Stage {
 
     send(file, add) {
         if (!this.mayOpen()) return;
-        if (!this.opens.formats.some((format) => file.name.toLowerCase().endsWith(format))) return this.say(`${file.name} is none of ${this.opens.formats.join(', ')}`);
-        if (file.size > this.opens.bytes) return this.say(`${file.name} has ${size(file.size)}; reading may take ${size(this.opens.bytes)} here (--max-host-memory)`);
+        if (!this.opens.formats.some((format) => file.name.toLowerCase().endsWith(format))) return this.say(texts.wrongFormat(file.name, this.opens.formats.join(', ')));
+        if (file.size > this.opens.bytes) return this.say(texts.tooLarge(file.name, file.size, this.opens.bytes));
         // fetch() reports no progress of an upload.
         const request = new XMLHttpRequest();
         request.open('POST', `upload/${encodeURIComponent(file.name)}${add ? '?add=1' : ''}`);
         request.setRequestHeader('Content-Type', 'application/octet-stream');
-        request.upload.onprogress = ({ loaded, total }) => this.wait(`sending ${file.name}`, total ? loaded / total : null);
+        request.upload.onprogress = ({ loaded, total }) => this.wait(texts.sending(file.name), total ? loaded / total : null);
         request.onload = () => this.answered(request.status, request.responseText);
-        request.onerror = () => this.answered(0, `${file.name} could not be sent`);
-        this.wait(`sending ${file.name}`, 0);
+        request.onerror = () => this.answered(0, texts.notSent(file.name));
+        this.wait(texts.sending(file.name), 0);
         request.send(file);
     }
 
@@ -163,7 +166,7 @@ export class Stage {
         const { paths, more } = await this.paths(''), files = paths.filter((path) => !path.endsWith('/'));
         for (const place of document.querySelectorAll('.scenes')) {
             place.hidden = !files.length;
-            const title = Object.assign(document.createElement('h2'), { textContent: `Scenes in this folder${more ? ', not all' : ''}` });
+            const title = Object.assign(document.createElement('h2'), { textContent: texts.scenesInFolder(!more) });
             place.replaceChildren(title, ...files.map((path) => {
                 const button = Object.assign(document.createElement('button'), { textContent: path, onclick: () => this.openPath(path) });
                 button.classList.toggle('on', path === shown);
@@ -174,24 +177,20 @@ export class Stage {
 
     async openPath(path) {
         if (!path || !this.mayOpen()) return;
-        this.wait(`opening ${path}`);
+        this.wait(texts.opening(path));
         try {
             const answer = await post('open', path);
             this.answered(answer.status, await answer.text());
         } catch {
-            this.answered(0, `${path} could not be asked for`);
+            this.answered(0, texts.notAsked(path));
         }
     }
 
     /** Shows a refusal. If the program accepts, it reports progress itself. */
     answered(status, text) {
         if (status === 202) return;
-        this.fail(text.trim().replace(/^\d+: /, '') || `refused (${status})`);
+        this.fail(text.trim().replace(/^\d+: /, '') || texts.refused(status));
     }
 }
 
 const post = (route, path) => fetch(route, { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify({ path }) });
-
-function size(bytes) {
-    return bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(1)} GB`;
-}

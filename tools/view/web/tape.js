@@ -2,6 +2,7 @@
 
 import { length, sub } from './maths.js';
 import { rounded } from './place.js';
+import { texts } from './texts.js';
 
 const find = (id) => document.getElementById(id);
 
@@ -18,7 +19,7 @@ export class Tape {
 
     click(x, y) {
         this.picker.ask(x, y, ({ point }) => {
-            if (!point) return this.say('nothing is there to measure from');
+            if (!point) return this.say(texts.noTapeEnd);
             this.points = this.points.length === 1 ? [this.points[0], point] : [point];
             this.show();
             find('measure').scrollIntoView({ block: 'nearest' });
@@ -41,7 +42,7 @@ export class Tape {
         find('measure').hidden = !points.length;
         find('tape-known').hidden = measured === null || !this.place.allowed;
         this.known.value = '';
-        find('tape-length').textContent = measured === null ? 'click the other end' : `${Number(measured.toPrecision(5))} units of the scene`;
+        find('tape-length').textContent = measured === null ? texts.otherEnd : texts.tapeLength(Number(measured.toPrecision(5)));
         this.overlay.tape = points.length ? { points, text: measured === null ? '' : String(Number(measured.toPrecision(4))) } : null;
         this.overlay.draw();
     }

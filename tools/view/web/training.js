@@ -1,11 +1,13 @@
 // Training: its curves, and the page's commands to it.
 
+import { number, texts } from './texts.js';
+
 const find = (id) => document.getElementById(id);
 const CURVES = [
-    { name: 'loss', title: 'Loss', digits: 4, color: '#f0883e', log: true },
-    { name: 'psnr', title: 'PSNR, dB', digits: 2, color: '#56d364' },
-    { name: 'gaussians', title: 'Gaussians', digits: 0, color: '#58a6ff', zero: true },
-    { name: 'rate', title: 'Iterations per second', digits: 1, color: '#bc8cff', zero: true }
+    { name: 'loss', title: texts.loss, digits: 4, color: '#f0883e', log: true },
+    { name: 'psnr', title: texts.psnr, digits: 2, color: '#56d364' },
+    { name: 'gaussians', title: texts.trainedGaussians, digits: 0, color: '#58a6ff', zero: true },
+    { name: 'rate', title: texts.rate, digits: 1, color: '#bc8cff', zero: true }
 ];
 /** Interval between two status requests, ms. */
 const INTERVAL = 500;
@@ -43,10 +45,10 @@ export class Training {
 
     show({ iteration, iterations, paused, points, last }) {
         this.paused = paused;
-        find('train-pause').textContent = paused ? 'Resume' : 'Pause';
+        find('train-pause').textContent = paused ? texts.resume : texts.pause.text;
         find('train-step').disabled = !paused;
         find('training-bar').style.width = `${100 * iteration / iterations}%`;
-        find('training-text').textContent = `${iteration.toLocaleString('en')} / ${iterations.toLocaleString('en')}${paused ? ', paused' : ''}`;
+        find('training-text').textContent = texts.progress(iteration, iterations, paused);
         // The program thins its curves as they grow, and then sends all points again.
         if (points.fresh) for (const name of Object.keys(this.curves)) this.curves[name] = [];
         for (const { name } of CURVES) this.curves[name].push(...points[name].filter(([at]) => at > (this.curves[name].at(-1)?.[0] ?? -1)));
@@ -90,7 +92,7 @@ export class Training {
         const now = last[name] ?? points.at(-1)[1];
         c.fillStyle = '#f3f5f8';
         c.textAlign = 'right';
-        c.fillText(now.toLocaleString('en', { minimumFractionDigits: digits, maximumFractionDigits: digits }), width - 7, 13);
+        c.fillText(number(now, digits), width - 7, 13);
         c.textAlign = 'left';
     }
 }
