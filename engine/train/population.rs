@@ -83,7 +83,7 @@ impl Population<'_> {
     }
 
     /// Per Gaussian, since the last change of the set: sum over views of the norm of the 2D mean's gradient (NDC), and number of
-    /// views. Views count if [`StepWork::accumulates`](super::strategy::Work::accumulates) is set. With
+    /// views. Views count if [`StepWork::accumulates`](super::schedule::StepWork::accumulates) is set. With
     /// [`Strategy::absolute_gradients`](super::Strategy::absolute_gradients) the norm is that of the absolute gradients:
     /// ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖, where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS,
     /// Ye et al. 2024).
