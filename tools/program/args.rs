@@ -137,7 +137,8 @@ mod tests {
         }
         let device = Some("it's (256 bits)".to_owned());
         let arguments = DeviceArguments { device, max_memory: Some(6 << 30), ..Default::default() };
-        assert_eq!(arguments.repeated_for(None), r" --device 'it'\''s (256 bits)' --max-memory 6G");
+        let quoted = if cfg!(windows) { r#""it's (256 bits)""# } else { r"'it'\''s (256 bits)'" };
+        assert_eq!(arguments.repeated_for(None), format!(" --device {quoted} --max-memory 6G"));
         let arguments =
             DeviceArguments { subgroup_size: Some(16), backend: Some(Backend::Gpu), ..Default::default() };
         // Arguments override the environment.
