@@ -139,6 +139,8 @@ fn photos_that_are_read_again_are_what_they_were() {
     assert!(read == losses && trainer.trained() == expected.trained());
     std::fs::copy(path(1), path(0)).expect("another photograph");
     refused(left[0].photo.photo().map(drop), "0.png: has changed since the training began");
+    std::fs::remove_file(path(0)).expect("removed");
+    refused(left[0].photo.photo().map(drop), "0.png: can no longer be read");
 }
 
 #[test]

@@ -118,18 +118,19 @@ impl Dataset {
             &DatasetOptions { host_memory: options.host_memory.beside_photos(kept), ..options.clone() };
         let done = AtomicUsize::new(0);
         progress.step(0, total);
-        let stored_in_file = AtomicUsize::new(0);
+        let [compressed, stored] = [AtomicUsize::new(0), AtomicUsize::new(0)];
         let store = |mut view: View, planned: &PlannedView| -> Result<View> {
             let Some(file) = &file else { return Ok(view) };
-            // An archive's folder is gone when the training reads from it.
-            let stays = !gallery.unpacked.is_temporary() && !view.photo.is_masked();
-            view.photo = match planned.compressed(options).filter(|_| stays) {
-                Some(jpeg) => file.leave(&view.photo, Arc::new(jpeg))?,
-                None => {
-                    stored_in_file.fetch_add(1, Ordering::Relaxed);
-                    file.store(&view.photo)?
-                }
+            // An archive's folder is gone when the training reads from it. Held-out photos are kept, so that no test fails because
+            // one of them is gone.
+            let may_read_again =
+                !gallery.unpacked.is_temporary() && !planned.held_out && !view.photo.is_masked();
+            let (photo, count) = match planned.compressed(options).filter(|_| may_read_again) {
+                Some(jpeg) => (file.leave(&view.photo, Arc::new(jpeg))?, &compressed),
+                None => (file.store(&view.photo)?, &stored),
             };
+            count.fetch_add(1, Ordering::Relaxed);
+            view.photo = photo;
             Ok(view)
         };
         let load = |planned: &PlannedView| {
@@ -148,8 +149,8 @@ impl Dataset {
             Ok((view, half, photo_use))
         };
         let views = planned.par_iter().map(load).collect::<Result<Vec<_>>>()?;
-        let stored_in_file = stored_in_file.into_inner();
-        warnings.extend(beyond.map(|memory| beyond_memory(needed, &memory, stored_in_file)));
+        let [compressed, stored] = [compressed, stored].map(AtomicUsize::into_inner);
+        warnings.extend(beyond.map(|memory| beyond_memory(needed, &memory, compressed, stored)));
         let (mut train, mut test, mut uses) = (Vec::new(), Vec::new(), Vec::new());
         for ((view, half, photo_use), planned) in views.into_iter().zip(planned) {
             uses.push(photo_use);
@@ -230,17 +231,16 @@ impl Gallery {
     }
 }
 
-/// Warns of photos that exceed their memory budget, of which `stored` are in the file.
-fn beyond_memory(needed: u64, memory: &PhotoMemory, stored: usize) -> String {
-    let (mib, allowed) = (needed.div_ceil(1 << 20), memory.bytes >> 20);
-    let place = match stored {
-        0 => "the JPEGs are decoded again when needed".to_owned(),
-        _ => format!(
-            "{stored} are kept in a file in {} and read when needed; unscaled JPEGs are decoded again",
-            memory.folder.display()
-        ),
-    };
-    format!("the photos need {mib} MiB and may have {allowed}: {place}")
+/// Warns of photos that exceed their memory budget: those that are decoded again, and those in the file.
+fn beyond_memory(needed: u64, memory: &PhotoMemory, compressed: usize, stored: usize) -> String {
+    let [mib, allowed] = [needed, memory.bytes].map(|bytes| bytes.div_ceil(1 << 20));
+    let compressed = Some(compressed).filter(|&count| count > 0);
+    let compressed = compressed.map(|count| format!("{count} unscaled JPEGs are decoded again when needed"));
+    let folder = memory.folder.display();
+    let stored = Some(stored).filter(|&count| count > 0);
+    let stored = stored.map(|count| format!("{count} are kept in a file in {folder} and read when needed"));
+    let places: Vec<String> = compressed.into_iter().chain(stored).collect();
+    format!("the photos need {mib} MiB and may have {allowed}: {}", places.join(", "))
 }
 
 /// Which views are held out by [`DatasetOptions::eval`], where a data set does not say so.

@@ -89,7 +89,7 @@ impl PhotoFileFormat for Photo {
 pub struct PhotoMemory {
     /// Budget of all photos held at a time, in host and device memory together, while training, bytes.
     pub bytes: u64,
-    /// Folder on a disk with free space for four bytes per pixel. JPEGs that are used as they are take none: they are decoded again.
+    /// Folder on a disk with free space for four bytes per pixel. Unscaled JPEGs to train on take none: they are decoded again.
     pub folder: PathBuf,
 }
 

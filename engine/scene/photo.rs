@@ -248,12 +248,15 @@ impl PartialEq for dyn PhotoSource {
 }
 
 fn read_again(source: &dyn PhotoSource, expected: u64) -> Result<Photo> {
-    let photo = source.read()?;
-    if fingerprint(&photo, None) == expected {
-        return Ok(photo);
-    }
-    let remedy = "put the file back and resume from a checkpoint, or train again";
-    Err(Error::input(source.path(), "has changed since the training began", remedy))
+    let problem = match source.read() {
+        Ok(photo) if fingerprint(&photo, None) == expected => return Ok(photo),
+        Ok(_) => "has changed since the training began".to_owned(),
+        Err(Error::Io { source, .. }) => format!("can no longer be read: {source}"),
+        Err(Error::Input { problem, .. }) => format!("has changed since the training began: {problem}"),
+        Err(other) => return Err(other),
+    };
+    let remedy = "put the file back and resume from the newest checkpoint, or train again";
+    Err(Error::input(source.path(), problem, remedy))
 }
 
 /// Photographs with their masks in an unnamed file, which is deleted with this value.

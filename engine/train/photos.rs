@@ -43,7 +43,7 @@ impl SharedSlots {
     /// lie in a file: then all are on the device.
     fn of(layout: NativeLayout, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Option<Self>> {
         let Some(memory) = file_memory else { return Ok(None) };
-        // Waiting photographs have the device's layout. Those being read are decoded or in the file's layout too.
+        // Waiting photographs have the device's layout. A photograph being read also has its decoded pixels or the file's texels.
         let bytes = photos.iter().map(|photo| photo.device_bytes(layout)).max().unwrap_or(0).max(4);
         let read = photos.iter().map(|photo| TEXEL_BYTES * photo.pixels()).max().unwrap_or(0);
         let read = READERS as u64 * read;
@@ -309,14 +309,19 @@ struct ActiveStream {
 }
 
 impl ActiveStream {
-    /// Texels of the next load; None if they are not read yet and `wait` is false.
-    fn take(&mut self, wait: bool) -> Result<Option<Vec<u8>>> {
-        let thread = &self.texels[self.taken % READERS];
-        let texels = if wait { thread.recv().ok() } else { thread.try_recv().ok() }.transpose()?;
-        if texels.is_none() && wait {
+    /// Texels of the next load, once they are read.
+    fn take(&mut self) -> Result<Vec<u8>> {
+        let texels = self.texels[self.taken % READERS].recv().map_err(|_| {
             let problem = "the thread that reads them has ended; go on from a checkpoint";
-            return Err(Error::argument("photographs", problem));
-        }
+            Error::argument("photographs", problem)
+        })??;
+        self.taken += 1;
+        Ok(texels)
+    }
+
+    /// Texels of the next load if they are read already.
+    fn try_take(&mut self) -> Result<Option<Vec<u8>>> {
+        let texels = self.texels[self.taken % READERS].try_recv().ok().transpose()?;
         self.taken += usize::from(texels.is_some());
         Ok(texels)
     }
@@ -342,10 +347,8 @@ impl Stream {
         running.iteration = iteration;
         let (at, begun) = running.ahead.take().unwrap_or_else(|| (running.schedule.advance(), false));
         running.at = at;
-        if at.load
-            && !begun
-            && let Some(texels) = running.take(true)?
-        {
+        if at.load && !begun {
+            let texels = running.take()?;
             context.begin_upload(&places[at.place].range(0, texels.len() as u64), &texels, true)?;
         }
         context.take_over_uploads()?;
@@ -360,7 +363,7 @@ impl Stream {
         let at = running.schedule.advance();
         // The prepared photograph's place is in use.
         let free = at.load && at.place != running.at.place && context.transfers().copy_queue;
-        let texels = if free { running.take(false)? } else { None };
+        let texels = if free { running.try_take()? } else { None };
         if let Some(texels) = &texels {
             context.begin_upload(&places[at.place].range(0, texels.len() as u64), texels, true)?;
         }
@@ -383,7 +386,8 @@ impl Stream {
                     let next = std::iter::repeat_with(|| ahead.advance()).find(|next| next.load);
                     let Some(next) = next.filter(|_| load % READERS == thread) else { continue };
                     let texels = on_device(layout, &photos[next.view]);
-                    if texels.is_err() | sender.send(texels).is_err() {
+                    let failed = texels.is_err();
+                    if sender.send(texels).is_err() || failed {
                         return;
                     }
                 }

@@ -391,7 +391,7 @@ fn photos_may_stay_on_disk() {
     }
     let (in_memory, _) = train("jpegs", "memory-jpeg", "");
     let (again, said) = train("jpegs", "jpeg", "--photo-memory 40K");
-    assert_says(&said, &["the JPEGs are decoded again when needed"]);
+    assert_says(&said, &["unscaled JPEGs are decoded again when needed, 2 are kept in a file in"]);
     assert!(in_memory == again);
     // In planes (as on CPUs), or pixel by pixel.
     let planes = NativeLayout::of(Gpu::new().context.limits()) == NativeLayout::Strips;

@@ -75,9 +75,9 @@ pub struct Arguments {
     /// from the newest, or from the start if there is none
     #[arg(long, value_name = "FILE|latest|auto", value_parser = value_parser!(StartFrom))]
     start_checkpoint: Option<StartFrom>,
-    /// Most memory for photos, with a unit: 800M, 6G; the other photos are read during training, with the same result: JPEGs
-    /// that -r does not scale from their files, the rest from a file beside the model folder [default: half of the device's
-    /// memory or of --max-memory]
+    /// Most memory for photos, with a unit: 800M, 6G; the other photos are read during training, with the same result:
+    /// unscaled JPEGs from their files, the rest from a file beside the model folder [default: half of the device's memory or
+    /// of --max-memory]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     photo_memory: Option<u64>,
     /// Keep parameters and Adam's moments in the machine's memory, at most SIZE of it, for scenes that are larger than the device:

@@ -193,7 +193,7 @@ impl PlannedView {
         Ok((self.view_of(photo, opacity, mask)?, photo_use))
     }
 
-    /// The photo as it is decoded again when it is needed, if it is a JPEG whose pixels are used as they are.
+    /// The photo as it is decoded again when it is needed, if it is a JPEG that is neither scaled nor masked.
     pub(super) fn compressed(&self, options: &DatasetOptions) -> Option<JpegPhoto> {
         let size = (self.lens.width, self.lens.height);
         let is_whole = self.mask_path.is_none() && self.rim.is_none() && self.coarse_mask.is_none();
