@@ -125,7 +125,7 @@ impl Dataset {
             // one of them is gone.
             let may_read_again =
                 !gallery.unpacked.is_temporary() && !planned.held_out && !view.photo.is_masked();
-            let (photo, count) = match planned.compressed(options).filter(|_| may_read_again) {
+            let (photo, count) = match may_read_again.then(|| planned.compressed(options)).flatten() {
                 Some(jpeg) => (file.leave(&view.photo, Arc::new(jpeg))?, &compressed),
                 None => (file.store(&view.photo)?, &stored),
             };
@@ -150,7 +150,7 @@ impl Dataset {
         };
         let views = planned.par_iter().map(load).collect::<Result<Vec<_>>>()?;
         let [compressed, stored] = [compressed, stored].map(AtomicUsize::into_inner);
-        warnings.extend(beyond.map(|memory| beyond_memory(needed, &memory, compressed, stored)));
+        warnings.extend(beyond.map(|memory| streaming_warning(needed, &memory, compressed, stored)));
         let (mut train, mut test, mut uses) = (Vec::new(), Vec::new(), Vec::new());
         for ((view, half, photo_use), planned) in views.into_iter().zip(planned) {
             uses.push(photo_use);
@@ -232,14 +232,12 @@ impl Gallery {
 }
 
 /// Warns of photos that exceed their memory budget: those that are decoded again, and those in the file.
-fn beyond_memory(needed: u64, memory: &PhotoMemory, compressed: usize, stored: usize) -> String {
+fn streaming_warning(needed: u64, memory: &PhotoMemory, compressed: usize, stored: usize) -> String {
     let [mib, allowed] = [needed, memory.bytes].map(|bytes| bytes.div_ceil(1 << 20));
-    let compressed = Some(compressed).filter(|&count| count > 0);
-    let compressed = compressed.map(|count| format!("{count} unscaled JPEGs are decoded again when needed"));
-    let folder = memory.folder.display();
-    let stored = Some(stored).filter(|&count| count > 0);
-    let stored = stored.map(|count| format!("{count} are kept in a file in {folder} and read when needed"));
-    let places: Vec<String> = compressed.into_iter().chain(stored).collect();
+    let in_file = format!("are kept in a file in {} and read when needed", memory.folder.display());
+    let places = [(compressed, "unscaled JPEGs are decoded again when needed"), (stored, &in_file)];
+    let places = places.iter().filter(|(count, _)| *count > 0);
+    let places: Vec<String> = places.map(|(count, place)| format!("{count} {place}")).collect();
     format!("the photos need {mib} MiB and may have {allowed}: {}", places.join(", "))
 }
 
