@@ -18,7 +18,9 @@ use ashsplat::train::checkpoint::{
     Capacities, Checkpoint, ExposureState, MomentState, PoseState, StrategyState, Tensor, packed_planes,
 };
 use ashsplat::train::strategy::Actions;
-use ashsplat::train::{BlockState, LENS_STATE_VALUES, MomentsType, TrainSettings};
+use ashsplat::train::{
+    BlockState, LENS_STATE_VALUES, LensState, MomentsType, TrainSettings, ZOOM_STATE_VALUES,
+};
 use ashsplat::{Error, Result};
 
 /// Changes when older files can no longer be read.
@@ -243,7 +245,10 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         exposures: appearance_state(&tensors, Checkpoint::EXPOSURES)?,
         lens_effects: appearance_state(&tensors, Checkpoint::LENS_EFFECTS)?,
         poses: poses(&tensors)?,
-        lens_opt: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
+        lens_opt: LensState {
+            lenses: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
+            zoom: optional_values(&tensors, Checkpoint::LENS_ZOOM, &[ZOOM_STATE_VALUES])?.pop(),
+        },
         skipped: metadata.parsed(SKIPPED)?,
         block: metadata.block()?,
         capacities: metadata.capacities()?,

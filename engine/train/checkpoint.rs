@@ -5,7 +5,7 @@
 //! numbers are keyed by seed and iteration, so no generator has state.
 
 use super::block::{BlockState, SceneBlock};
-use super::lens_opt::{LENS_STATE_VALUES, LensState};
+use super::lens_opt::{LENS_STATE_VALUES, LensState, ZOOM_STATE_VALUES};
 use super::schedule::Actions;
 use super::settings::{MomentsType, TrainSettings};
 use crate::error::{Error, Result};
@@ -283,12 +283,12 @@ impl Checkpoint {
             tensors.extend(rows.map(|(name, rows)| Tensor::new(name, [rows.len(), 6], rows)));
             tensors.push(Tensor::new(Self::POSE_DEPTHS, [poses.depths.len()], &poses.depths));
         }
-        if !self.lens_opt.is_empty() {
-            tensors.push(Tensor::new(
-                Self::LENS_OPT,
-                [self.lens_opt.len(), LENS_STATE_VALUES],
-                &self.lens_opt,
-            ));
+        let LensState { lenses, zoom } = &self.lens_opt;
+        if !lenses.is_empty() {
+            tensors.push(Tensor::new(Self::LENS_OPT, [lenses.len(), LENS_STATE_VALUES], lenses));
+        }
+        if let Some(zoom) = zoom {
+            tensors.push(Tensor::new(Self::LENS_ZOOM, [1, ZOOM_STATE_VALUES], zoom));
         }
         tensors
     }
@@ -311,8 +311,10 @@ impl Checkpoint {
     /// Names of the pose tensors: parameters, first moments, second moments. Only runs that optimise poses have them.
     pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
 
-    /// Name of the tensor of [`Checkpoint::lens_opt`].
+    /// Name of the tensor of [`LensState::lenses`].
     pub const LENS_OPT: &str = "lens_opt";
+    /// Name of the tensor of [`LensState::zoom`].
+    pub const LENS_ZOOM: &str = "lens_zoom";
 
     /// Name of the tensor of [`PoseState::depths`].
     pub const POSE_DEPTHS: &str = "pose_depth";

@@ -3,28 +3,58 @@
 //! Views with the same lens share it. Adam works on the host, in units that move the picture by a focal length
 //! ([`Camera::lens_units`]). Its result depends on nothing but the gradients, so a resumed run has the same bits. A pinhole becomes
 //! a lens without distortion, which learns distortion too.
+//!
+//! Photographs of a scene from about one distance hardly tell a longer focal length from a larger scene. Adam over both would
+//! need thousands of steps to find the small difference, so one more number ([`DollyZoom`]) changes both at once.
 
+use super::poses::mean_depth;
 use super::schedule::IterationPlan;
-use super::step::LossValues;
+use super::step::{LensGradients, LossValues};
 use crate::error::{Error, Result};
+use crate::frame::SceneBuffers;
 use crate::passes::adam::{BETA_1, BETA_2};
+use crate::passes::lens::SceneScaling;
 use crate::passes::poses::{WEIGHT_DECAY, adam_on_host};
-use crate::scene::{Camera, LENS_PARAMETERS, Projection};
+use crate::scene::{Camera, Gaussians, LENS_PARAMETERS, Projection};
+use crate::vk::Context;
+use glam::{DVec3, Vec3};
 
 /// Values of a lens in a checkpoint: see [`LensState`].
 pub const LENS_STATE_VALUES: usize = 3 * LENS_PARAMETERS + 1;
 
-/// Lenses that are optimised, one row each, in the order of the first views that have them: the changes of the focal lengths, the
-/// principal point and the coefficients, in the units of the optimiser; Adam's first and second moments of each; the number of steps.
-pub type LensState = Vec<[f32; LENS_STATE_VALUES]>;
+/// Values of [`LensState::zoom`].
+pub const ZOOM_STATE_VALUES: usize = 8;
+
+/// Rate of the dolly zoom, times the lenses' rate.
+const ZOOM_RATE: f64 = 5.0;
+
+/// Lenses that are optimised.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LensState {
+    /// One row per lens, in the order of the first views that have them: the changes of the focal lengths, the principal point and
+    /// the coefficients, in the units of the optimiser; Adam's first and second moments of each; the number of steps.
+    pub lenses: Vec<[f32; LENS_STATE_VALUES]>,
+    /// The dolly zoom: the logarithm of the factor of all focal lengths, Adam's two moments, the number of steps, the logarithm that
+    /// scene and cameras have already, and the point about which the scene scales (world).
+    pub zoom: Option<[f32; ZOOM_STATE_VALUES]>,
+}
 
 /// The lenses of a run that optimises them.
 pub(super) struct LensOptimizer {
     lenses: Vec<Lens>,
     /// Index of each view's lens.
     of_view: Vec<usize>,
+    zoom: DollyZoom,
+    scaling: SceneScaling,
     /// Number of steps that were not made.
     pub refused: u32,
+}
+
+/// A factor of all focal lengths together with the opposite scaling of the scene.
+struct DollyZoom {
+    /// True if the scene may be scaled.
+    enabled: bool,
+    state: [f32; ZOOM_STATE_VALUES],
 }
 
 struct Lens {
@@ -51,9 +81,56 @@ fn share_lens(a: &Camera, b: &Camera) -> bool {
     of(a) == of(b)
 }
 
+/// Centre of a camera, world.
+fn center_of(camera: &Camera) -> DVec3 {
+    -(camera.camera_from_world.transpose() * camera.translation).as_dvec3()
+}
+
+impl DollyZoom {
+    /// Scales about the mean of the points that the cameras look at, at the mean depths of their views.
+    fn new(cameras: &[Camera], initial: &Gaussians, enabled: bool) -> Self {
+        let looked_at = |camera: &Camera| {
+            let depth = f64::from(mean_depth(camera, &initial.means));
+            center_of(camera) + depth * camera.camera_from_world.transpose().z_axis.as_dvec3()
+        };
+        let center = cameras.iter().map(looked_at).sum::<DVec3>() / cameras.len() as f64;
+        let mut state = [0.0; ZOOM_STATE_VALUES];
+        state[5..].copy_from_slice(&center.as_vec3().to_array());
+        Self { enabled, state }
+    }
+
+    fn center(&self) -> Vec3 {
+        Vec3::from_slice(&self.state[5..])
+    }
+
+    /// Factor of the focal lengths that scene and cameras have already.
+    fn factor(&self) -> f64 {
+        f64::from(self.state[4]).exp()
+    }
+
+    /// Makes a step with the gradients of the lens of the camera that was drawn and of a displacement of the scene.
+    fn step(&mut self, drawn: &Camera, gradient: &LensGradients, rate: f64) {
+        if !self.enabled {
+            return;
+        }
+        let of_lens = drawn.lens_gradient(&gradient.parameters);
+        // Scaling the scene about the camera's centre changes no picture, so the scaling about the zoom's centre acts like the
+        // displacement of one to the other.
+        let shift = self.center().as_dvec3() - center_of(drawn);
+        let moved = shift.dot(DVec3::from_array(gradient.means.map(f64::from)));
+        let own = f64::from(drawn.fx) * of_lens[0] + f64::from(drawn.fy) * of_lens[1] + moved;
+        let [change, first, second, count, ..] = self.state.map(f64::from);
+        let g = if own.abs() < 1e15 { own } else { 0.0 } + WEIGHT_DECAY * change;
+        let (mut first, mut second, count) = (first, second, count + 1.0);
+        let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(count));
+        let change = change - adam_on_host([&mut first, &mut second], g, bias, ZOOM_RATE * rate);
+        self.state[..4].copy_from_slice(&[change, first, second, count].map(|value| value as f32));
+    }
+}
+
 impl LensOptimizer {
-    /// Starts with the lenses of these cameras.
-    pub fn new(cameras: &[Camera]) -> Self {
+    /// Starts with the lenses of these cameras. `scales`: the scene may be scaled with the focal lengths.
+    pub fn new(context: &Context, cameras: &[Camera], initial: &Gaussians, scales: bool) -> Result<Self> {
         let mut lenses: Vec<Lens> = Vec::new();
         let of_view = cameras.iter().map(|camera| {
             lenses.iter().position(|lens| share_lens(&lens.given, camera)).unwrap_or_else(|| {
@@ -65,26 +142,32 @@ impl LensOptimizer {
                 lenses.len() - 1
             })
         });
-        Self { of_view: of_view.collect(), lenses, refused: 0 }
+        let of_view = of_view.collect();
+        // Panoramas have no focal lengths.
+        let zooms = cameras.iter().all(|camera| camera.projection != Projection::Equirectangular);
+        let zoom = DollyZoom::new(cameras, initial, scales && zooms);
+        Ok(Self { of_view, lenses, zoom, scaling: SceneScaling::new(context)?, refused: 0 })
     }
 
     /// The camera with its lens as it is now, if a training view was given with this lens.
     pub fn refined(&self, camera: &Camera) -> Camera {
         let with_lens = with_own_lens(camera);
         let lens = self.lenses.iter().find(|lens| share_lens(&lens.given, &with_lens));
-        lens.map_or(*camera, |lens| with_lens.with_lens_parameters(&lens.parameters()))
+        lens.map_or(*camera, |lens| with_lens.with_lens_parameters(&lens.parameters(self.zoom.factor())))
     }
 
     /// Makes a step with the lens of a finished iteration's view, and sets it in all cameras of views that have it. A step after which
     /// the lens would fold the picture is not made.
     pub fn step(&mut self, cameras: &mut [Camera], plan: &IterationPlan, losses: &LossValues) {
         let IterationPlan { view, camera: drawn, lens_rate: rate, .. } = plan;
-        let Some(gradient) = losses.lens.filter(|_| plan.work.optimizes) else { return };
+        let Some(gradient) = losses.lens.filter(|_| plan.work.optimizes && *rate > 0.0) else { return };
+        self.zoom.step(drawn, &gradient, *rate);
+        let factor = self.zoom.factor();
         let of_view = self.of_view[*view];
         let lens = &mut self.lenses[of_view];
         let before = lens.state;
-        lens.step(drawn, &gradient, *rate);
-        let parameters = lens.parameters();
+        lens.step(drawn, &gradient.parameters, *rate);
+        let parameters = lens.parameters(factor);
         if cameras[*view].with_lens_parameters(&parameters).check().is_err() {
             // The moments keep the new values, so that later steps may be smaller.
             lens.state[..LENS_PARAMETERS].copy_from_slice(&before[..LENS_PARAMETERS]);
@@ -95,29 +178,57 @@ impl LensOptimizer {
         others.for_each(|(camera, _)| *camera = camera.with_lens_parameters(&parameters));
     }
 
+    /// Applies the zoom's last step to the scene and to the cameras of all views.
+    pub fn zoom(&mut self, context: &Context, scene: &SceneBuffers, cameras: &mut [Camera]) -> Result<()> {
+        let [change, .., applied, _, _, _] = self.zoom.state;
+        if change == applied {
+            return Ok(());
+        }
+        self.zoom.state[4] = change;
+        let mut zoomed = cameras.to_vec();
+        self.set_lenses(&mut zoomed);
+        if zoomed.iter().any(|camera| camera.check().is_err()) {
+            // The moments keep the new values, so that later steps may be smaller.
+            [self.zoom.state[0], self.zoom.state[4]] = [applied; 2];
+            self.refused += 1;
+            return Ok(());
+        }
+        cameras.copy_from_slice(&zoomed);
+        let log_factor = f64::from(applied) - f64::from(change);
+        self.scaling.run(context, scene, self.zoom.center(), log_factor)
+    }
+
+    fn set_lenses(&self, cameras: &mut [Camera]) {
+        for (camera, &lens) in cameras.iter_mut().zip(&self.of_view) {
+            *camera = camera.with_lens_parameters(&self.lenses[lens].parameters(self.zoom.factor()));
+        }
+    }
+
     pub fn state(&self) -> LensState {
-        self.lenses.iter().map(|lens| lens.state).collect()
+        let lenses = self.lenses.iter().map(|lens| lens.state).collect();
+        LensState { lenses, zoom: Some(self.zoom.state) }
     }
 
     pub fn restore(&mut self, cameras: &mut [Camera], from: &LensState) -> Result<()> {
-        if from.len() != self.lenses.len() {
-            let (there, here) = (from.len(), self.lenses.len());
+        let (there, here) = (from.lenses.len(), self.lenses.len());
+        if there != here {
             return Err(Error::argument("checkpoint", format!("has {there} lenses, here are {here}")));
         }
-        self.lenses.iter_mut().zip(from).for_each(|(lens, state)| lens.state = *state);
-        for (camera, &lens) in cameras.iter_mut().zip(&self.of_view) {
-            *camera = camera.with_lens_parameters(&self.lenses[lens].parameters());
-        }
+        self.lenses.iter_mut().zip(&from.lenses).for_each(|(lens, state)| lens.state = *state);
+        self.zoom.state = from.zoom.unwrap_or(self.zoom.state);
+        self.set_lenses(cameras);
         Ok(())
     }
 }
 
 impl Lens {
-    fn parameters(&self) -> [f32; LENS_PARAMETERS] {
+    /// `zoom`: factor of the focal lengths.
+    fn parameters(&self, zoom: f64) -> [f32; LENS_PARAMETERS] {
         let mut parameters = self.given.lens_parameters();
-        for (parameter, units) in parameters.iter_mut().zip(&self.units) {
+        for (k, (parameter, units)) in parameters.iter_mut().zip(&self.units).enumerate() {
             let change: f64 = units.iter().zip(self.state).map(|(unit, by)| unit * f64::from(by)).sum();
-            *parameter = (f64::from(*parameter) + change) as f32;
+            let factor = if k < 2 { zoom } else { 1.0 };
+            *parameter = (factor * (f64::from(*parameter) + change)) as f32;
         }
         parameters
     }
@@ -125,7 +236,7 @@ impl Lens {
     /// `gradient`: of the lens of the camera that was drawn, whose picture may be smaller.
     fn step(&mut self, drawn: &Camera, gradient: &[f32; LENS_PARAMETERS], rate: f64) {
         let mut gradient = drawn.lens_gradient(gradient);
-        let parameters = self.parameters();
+        let parameters = self.parameters(1.0);
         let shares = [drawn.fx / parameters[0], drawn.fy / parameters[1]].map(f64::from);
         (0..4).for_each(|k| gradient[k] *= shares[k % 2]);
         let state = &mut self.state;

@@ -132,7 +132,7 @@ impl Poses {
 }
 
 /// Harmonic mean of the depths of the means that a camera shows, world units; 0 if it shows none. Samples many means evenly.
-fn mean_depth(camera: &Camera, means: &[[f32; 3]]) -> f32 {
+pub(super) fn mean_depth(camera: &Camera, means: &[[f32; 3]]) -> f32 {
     let inverse = |&mean: &[f32; 3]| {
         let mean = Vec3::from_array(mean);
         let (_, _, depth) = camera.project(mean);

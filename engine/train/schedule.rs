@@ -465,9 +465,17 @@ impl Schedule {
             },
             // Poses make a step whenever the Gaussians do.
             pose_step: PoseStep { rate: falling(s.pose_lr, s, iteration), count: progress.steps + 1 },
-            lens_rate: falling(s.lens_opt_lr, s, iteration),
+            lens_rate: lens_rate(s, iteration),
         }
     }
+}
+
+/// Rate of the lenses: 0 in the first third of the run, then constant, and from seven tenths on log-linear to a hundredth. Where the
+/// first scene does not cover the photographs yet, it pulls on the lenses.
+fn lens_rate(s: &TrainSettings, iteration: u32) -> f64 {
+    let share = f64::from(iteration) / f64::from(s.iterations);
+    let falls = ((share - 0.7) / 0.3).max(0.0);
+    if share < 1.0 / 3.0 { 0.0 } else { s.lens_opt_lr * 0.01_f64.powf(falls) }
 }
 
 /// Log-linear from a rate at 0 to a hundredth of it at the last iteration.

@@ -436,8 +436,9 @@ options! {
         /// Optimise the lenses of the training views with the scene: focal lengths, principal point and distortion, which pinholes
         /// learn too. Held-out views with the same lens are measured with it
         lens_opt: bool = false, Bounds::None;
-        /// Learning rate of the lenses at the start: displacement of the picture's points, in focal lengths. It falls to a hundredth
-        lens_opt_lr: f64 = 1e-4, Bounds::NotNegative;
+        /// Learning rate of the lenses, from a third of the run on: displacement of the picture's points, in focal lengths. From seven
+        /// tenths of the run it falls to a hundredth
+        lens_opt_lr: f64 = 2e-4, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
         /// Storage of Adam's moments: f32, or packed in a third of the memory

@@ -24,6 +24,7 @@ use crate::passes::pixels::LayoutConverter;
 use crate::render::{BlendSamples, FrameCounts, Request};
 use crate::scene::{Camera, LENS_PARAMETERS};
 use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder, ScopeTime};
+use bytemuck::{Pod, Zeroable};
 use std::collections::VecDeque;
 
 /// Kernels of an iteration after its frame.
@@ -68,8 +69,18 @@ pub(super) struct LossValues {
     pub total: f32,
     /// Per term: its name; its weighted value and further values.
     pub terms: Vec<(&'static str, [f32; 4])>,
-    /// Gradient of the view's lens, if lenses are optimised.
-    pub lens: Option<[f32; LENS_PARAMETERS]>,
+    /// None unless lenses are optimised.
+    pub lens: Option<LensGradients>,
+}
+
+/// Gradients of a view's lens.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct LensGradients {
+    /// As [`LensGradient`] writes them.
+    pub parameters: [f32; LENS_PARAMETERS],
+    /// Sum over the gradients of all means, world.
+    pub means: [f32; 3],
 }
 
 /// Inputs of one iteration.
@@ -359,7 +370,8 @@ impl StepRecorder {
         let (losses, lens) = bytes.split_at(self.losses_bytes() as usize);
         let rows: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(losses);
         let terms: Vec<_> = self.terms().zip(rows).collect();
-        let lens = self.lens.as_ref().map(|_| bytemuck::pod_read_unaligned(&lens[..4 * LENS_PARAMETERS]));
+        let lens =
+            self.lens.as_ref().map(|_| bytemuck::pod_read_unaligned(&lens[..size_of::<LensGradients>()]));
         Ok(LossValues { total: terms.iter().map(|(_, row)| row[0]).sum(), terms, lens })
     }
 }

@@ -192,7 +192,11 @@ impl Trainer {
             }
             cameras.iter_mut().for_each(|camera| *camera = with_own_lens(camera));
         }
-        let lens_opt = settings.lens_opt.then(|| LensOptimizer::new(&cameras));
+        let lens_opt = match settings.lens_opt {
+            // Frozen Gaussians keep their size.
+            true => Some(LensOptimizer::new(context, &cameras, initial, frozen == 0)?),
+            false => None,
+        };
         let poses = Poses::new(context, &settings, &cameras, initial)?;
         let run = TrainingRun {
             lens_of_view: lenses_of(&views),
@@ -545,6 +549,9 @@ impl Trainer {
     /// Does the work that the previous iteration left for the time before the next one. The reference tests and saves first, so
     /// between steps the scene is what the reference would save.
     pub(super) fn catch_up(&mut self) -> Result<Changes> {
+        if let Some(lenses) = &mut self.lens_opt {
+            lenses.zoom(&self.context, &self.state.model.scene, &mut self.run.cameras)?;
+        }
         let mut done = Changes::default();
         loop {
             let due = self.state.progress.due;

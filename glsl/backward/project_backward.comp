@@ -239,9 +239,10 @@ void write_pose_sums(vec3 d_moved, vec3 d_turned, bool exists, uint end) {
 #ifdef LENSES
 shared float lens_partial_sums[LENS_SUMS * (WORKGROUP_SIZE / SUBGROUP_SIZE)];
 
-// Same as write_pose_sums, for a whole workgroup.
-void write_lens_sums(bool exists, uint end) {
-    float values[LENS_WORDS + 4];
+// Same as write_pose_sums, for a whole workgroup, with the gradient of the mean (world).
+void write_lens_sums(vec3 d_mean, bool exists, uint end) {
+    const uint own_sums = LENS_WORDS + 7;
+    float values[own_sums];
     values[0] = d_lens.focal.x;
     values[1] = d_lens.focal.y;
     values[2] = d_lens.center.x;
@@ -250,12 +251,15 @@ void write_lens_sums(bool exists, uint end) {
     [[unroll]] for (uint k = 0; k < LENS_WORDS; ++k) {
         values[4 + k] = d_lens.words[k];
     }
-    [[unroll]] for (uint k = 0; k < LENS_WORDS + 4; ++k) {
+    [[unroll]] for (uint axis = 0; axis < 3; ++axis) {
+        values[LENS_WORDS + 4 + axis] = d_mean[axis];
+    }
+    [[unroll]] for (uint k = 0; k < own_sums; ++k) {
         counts = counts && is_finite(values[k]);
     }
     const uint subgroups = WORKGROUP_SIZE / SUBGROUP_SIZE;
     [[unroll]] for (uint k = 0; k < LENS_SUMS; ++k) {
-        float sum = subgroupAdd(counts && k < LENS_WORDS + 4 ? values[min(k, LENS_WORDS + 3)] : 0.0);
+        float sum = subgroupAdd(counts && k < own_sums ? values[min(k, own_sums - 1)] : 0.0);
         if (gl_SubgroupInvocationID == 0) {
             lens_partial_sums[k * subgroups + gl_SubgroupID] = sum;
         }
@@ -387,9 +391,6 @@ void main() {
         add_lens_position(p.mean_camera, d_mean2d);
         add_lens_jacobian(p.mean_camera, p.jacobian, d_jacobian);
     }
-    if (LENS_GRADIENT) {
-        write_lens_sums(exists, visible_range.y - visible_range.x);
-    }
 #endif
     // The blended depth is 1/z or z. This is its gradient towards the camera.
     float inverse_z = 1.0 / DEPTH_OF(p.mean_camera);
@@ -397,6 +398,11 @@ void main() {
     vec3 d_mean = from_camera(d_camera);
 
     d_mean += d_towards;
+#ifdef LENSES
+    if (LENS_GRADIENT) {
+        write_lens_sums(d_mean, exists, visible_range.y - visible_range.x);
+    }
+#endif
 
     if (POSE_GRADIENT) {
 #ifdef LENSES

@@ -31,7 +31,7 @@ const bool BENDS = PROJECTION == PROJECTION_BROWN || PROJECTION == PROJECTION_FI
 #ifdef DIFFERENTIATES_LENS
 // Gradient of a lens's parameters: focal lengths, principal point, then the words of lens_members.glsl. Its sum over the points of
 // the invocation's Gaussian is `d_lens`.
-const uint LENS_WORDS = LENS_SUMS - 6;
+const uint LENS_WORDS = LENS_SUMS - 9;
 
 struct LensGradient {
     vec2 focal;

@@ -36,7 +36,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         exposures: Default::default(),
         lens_effects: Default::default(),
         poses: None,
-        lens_opt: Vec::new(),
+        lens_opt: Default::default(),
         block: None,
         skipped: 1,
         capacities: Capacities::default(),
