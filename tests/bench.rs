@@ -1,9 +1,8 @@
 //! `ashsplat bench`, run as users run it.
 
-use crate::cli::{program, refuse, succeed, text, write_dataset};
+use crate::cli::{refuse, succeed, text, write_dataset};
 use crate::common::splats::write_points;
 use crate::common::{assert_says, new_paths};
-use crate::program::running::Running;
 use serde_json::Value;
 use std::path::Path;
 use tempfile::tempdir;
@@ -260,6 +259,7 @@ fn options_that_would_not_be_used_are_refused() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
+    use crate::{cli::program, program::running::Running};
     use std::process::Stdio;
     let folder = tempdir().expect("a temporary folder");
     let commands: [&[&str]; 5] = [

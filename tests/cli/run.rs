@@ -50,6 +50,7 @@ impl Finished {
     }
 
     /// Checks that the program failed: exit code 2, and a last line `error: …` with all of these words.
+    #[cfg(unix)]
     #[track_caller]
     pub(crate) fn fails(self, words: &[&str]) -> Finished {
         self.ends_with_error(self.stderr.lines().last().unwrap_or_default(), words);

@@ -391,7 +391,9 @@ fn files_of_other_names_are_taken_where_one_is_meant() {
         files.iter().zip(&documents).for_each(|(name, document)| folder.json(name, document));
         let dataset = load(&folder, &eval);
         let said = dataset.warnings.iter().filter(|w| w.contains("taken for transforms.json")).count();
-        assert_eq!(said, usize::from(files[0] != "transforms_train.json"), "{:?}", dataset.warnings);
+        // On some systems Transforms.JSON is transforms.json.
+        let usual = files[0] == "transforms_train.json" || folder.join("transforms.json").exists();
+        assert_eq!(said, usize::from(!usual), "{:?}", dataset.warnings);
         assert_eq!((dataset.train.len(), dataset.test.len()), counts, "{files:?}");
         files.iter().for_each(|name| folder.remove(name));
     }

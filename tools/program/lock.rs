@@ -174,7 +174,7 @@ impl Drop for FolderLock {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
 
@@ -182,7 +182,6 @@ mod tests {
 
     /// The last holder leaves between another's opening and locking of the file, and a third process comes: the third
     /// has the lock. On Windows a removed file stays until all have closed it, and no other is made in its place.
-    #[cfg(unix)]
     #[test]
     fn a_file_that_is_gone_locks_nothing() {
         let folder = tempfile::tempdir().expect("a temporary folder");

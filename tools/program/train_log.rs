@@ -188,14 +188,11 @@ impl Rows {
 mod tests {
     use super::*;
 
-    fn report(iteration: u32) -> StepReport {
-        StepReport { iteration, loss: 0.5, gaussians: 7, milliseconds: 1.25, ..Default::default() }
-    }
-
     /// /dev/full refuses every write.
     #[cfg(target_os = "linux")]
     #[test]
     fn a_failure_is_told_at_the_end() {
+        let report = |iteration| StepReport { iteration, ..Default::default() };
         let mut log = TrainLog::create(Path::new("/dev/full")).expect("opened");
         log.add(&report(1), (Some(20.0), None), &[]);
         let error = log.finish().expect_err("nothing can be written").to_string();
