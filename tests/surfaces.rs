@@ -96,6 +96,19 @@ fn a_ball_becomes_a_closed_mesh() {
     let mut mesh = mesh_of(&mut renderer, field);
     assert_eq!(mesh, mesh_of(&mut renderer, field), "the same bits");
     mesh.keep_parts(mesh.triangles.len() / 2);
+    check_ball(&mesh);
+    let mut coarse = mesh.clone();
+    coarse.simplify(500);
+    assert!(mesh.triangles.len() > 5000 && coarse.triangles.len() == 500, "{}", coarse.triangles.len());
+    check_ball(&coarse);
+    mesh.simplify(500);
+    assert_eq!(mesh, coarse, "the same bits");
+    mesh.simplify(1);
+    assert_eq!((mesh.triangles.len(), mesh.positions.len()), (4, 4), "a tetrahedron has the ball's topology");
+}
+
+/// A closed ball of radius 1 with the colours of [`disks`].
+fn check_ball(mesh: &Mesh) {
     assert_eq!(open_edges(&mesh.triangles), 0, "the mesh has a border");
     let at = |vertex: u32| Vec3::from_array(mesh.positions[vertex as usize]);
     let volume: f32 = mesh
@@ -111,6 +124,28 @@ fn a_ball_becomes_a_closed_mesh() {
         let [red, _, blue] = *color;
         assert!(position.z.abs() < 0.15 || (red > blue) == (position.z > 0.0), "{color:?} at {position}");
     }
+}
+
+/// A bent sheet of squares: one half lies flat, the other stands upright. It needs no vertices but its six corners.
+#[test]
+fn simplified_borders_and_edges_stay() {
+    let side = 8u32;
+    let vertex = |x: u32, y: u32| x + (2 * side + 1) * y;
+    let all = (0..=side).flat_map(|y| (0..=2 * side).map(move |x| [x, y]));
+    let corners = |x, y| [vertex(x, y), vertex(x + 1, y), vertex(x, y + 1), vertex(x + 1, y + 1)];
+    let square = |[a, b, c, d]: [u32; 4]| [[a, b, d], [a, d, c]];
+    let squares = (0..side).flat_map(|y| (0..2 * side).map(move |x| corners(x, y)));
+    let mut mesh = Mesh {
+        positions: all.map(|[x, y]| [x.min(side), y, x.max(side) - side].map(|at| at as f32)).collect(),
+        colors: vec![[9, 8, 7]; vertex(2 * side, side) as usize + 1],
+        triangles: squares.flat_map(square).collect(),
+    };
+    mesh.simplify(4);
+    let mut found: Vec<[i32; 3]> =
+        mesh.positions.iter().map(|at| at.map(|at| (10.0 * at).round() as i32)).collect();
+    found.sort_unstable();
+    let expected = [[0, 0, 0], [0, 80, 0], [80, 0, 0], [80, 0, 80], [80, 80, 0], [80, 80, 80]];
+    assert_eq!((mesh.triangles.len(), &found[..], &mesh.colors[..]), (4, &expected[..], &[[9, 8, 7]; 6][..]));
 }
 
 /// Training with `surface` turns a ball's randomly oriented Gaussians to its surface and shrinks their shortest axes.

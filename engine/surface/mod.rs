@@ -3,7 +3,8 @@
 //!
 //! 1. [`FieldBlocks::add`] for each view collects the blocks of voxels near a surface.
 //! 2. [`DistanceField::new`] allocates them; [`DistanceField::integrate`] adds each view, one after the other.
-//! 3. [`DistanceField::mesh`] returns the [`Mesh`], of which [`Mesh::keep_parts`] removes what floats.
+//! 3. [`DistanceField::mesh`] returns the [`Mesh`], of which [`Mesh::keep_parts`] removes what floats;
+//!    [`Mesh::simplify`] makes it coarser.
 //!
 //! The same views in the same order give the same bits. Lengths are world units, in the axes of the scene.
 
@@ -11,6 +12,7 @@ mod blocks;
 mod cubes;
 mod field;
 mod mesh;
+mod simplify;
 
 pub use blocks::{FieldBlocks, FieldSettings};
 pub use cubes::cube_cases;

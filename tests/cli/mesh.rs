@@ -33,6 +33,9 @@ fn meshes_are_written_whole_and_alike() {
     let header = String::from_utf8_lossy(&bytes[..400]).into_owned();
     let counts = [format!("element vertex {}", vertices.len()), format!("element face {}", triangles.len())];
     assert_says(&header, &[&counts[0], &counts[1], "property list uchar int vertex_indices"]);
+    let coarse =
+        place.run(format!("mesh @ball.ply -o @coarse.ply {VIEWS} --voxel 0.06 --triangles 500")).ok().stdout;
+    assert_says(&coarse, &["coarse.ply: 500 triangles, "]);
     let end = header.find("end_header\n").expect("its end") + "end_header\n".len();
     assert_eq!(bytes.len(), end + 15 * vertices.len() + 13 * triangles.len());
 
@@ -89,6 +92,7 @@ fn meshes_that_cannot_be_made() {
     refuses("mesh @ball.ply -o @out/a.ply", &["ball.ply: has no cameras", "--orbit N"]);
     refuses(&format!("mesh @none.ply -o @out/a.ply {VIEWS}"), &["none.ply", "no surface"]);
     refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --voxel 0"), &["--voxel", "positive"]);
+    refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --triangles 0"), &["--triangles", "not in 1"]);
     refuses(
         &format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-depth 0.5"),
         &["--max-depth", "lies beyond"],

@@ -31,6 +31,9 @@ pub struct Arguments {
     /// Depth beyond which nothing is meshed, in the data set's units [default: twice the median depth]
     #[arg(long, value_name = "DEPTH", value_parser = positive)]
     max_depth: Option<f32>,
+    /// Collapse edges, those first that change the surface least, until at most N triangles are left
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    triangles: Option<u32>,
     #[command(flatten)]
     views: views::Arguments,
     #[command(flatten)]
@@ -136,6 +139,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&model.ply, problem, "give other views, or a smaller --voxel"));
     }
     session::check(&stop)?;
+    if let Some(count) = arguments.triangles {
+        mesh.simplify(count as usize);
+        let left = mesh.triangles.len();
+        if left > count as usize {
+            errln!(
+                "warning: --triangles: {} are left, since fewer would change the topology",
+                thousands(left as u64)
+            );
+        }
+    }
     output::in_folder(&arguments.out, |path| format.write(path, &mesh, &scene.frame))?;
     if !arguments.quiet {
         let [vertices, triangles] =
