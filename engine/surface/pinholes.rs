@@ -29,6 +29,8 @@ pub struct PinholeView {
 }
 
 /// Pinholes that together show what a lens shows: faces of a cube, each cut to what the lens shows there. A pinhole is its own.
+/// [`RenderSettings::distance_order`](crate::RenderSettings::distance_order) draws them in the order in which fisheyes and panoramas
+/// have trained a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pinholes {
     lens: PhotoLens,

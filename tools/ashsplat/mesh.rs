@@ -93,18 +93,24 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut renderer = Renderer::new(&context)?;
     renderer.upload_stored(&scene.gaussians, arguments.look.stored(&scene.gaussians))?;
     let bar = counting("views", 3 * count as u64, arguments.quiet);
-    let mut each = |masked: bool, work: &mut dyn FnMut(&mut Renderer, &PinholeView) -> Result<()>| {
+    type Work<'a> = dyn FnMut(&mut Renderer, &PinholeView, &RenderSettings) -> Result<()> + 'a;
+    let mut each = |masked: bool, work: &mut Work| {
         (0..count).try_for_each(|index| {
             session::check(&stop)?;
             bar.inc(1);
-            photographed.pinholes(index, masked)?.iter().try_for_each(|view| work(&mut renderer, view))
+            // Fisheyes and panoramas have trained the scene in this order.
+            let by_distance = photographed.views[index].camera.projection.orders_by_distance();
+            let distance_order = settings.distance_order || by_distance;
+            let settings = RenderSettings { distance_order, ..settings };
+            let views = photographed.pinholes(index, masked)?;
+            views.iter().try_for_each(|view| work(&mut renderer, view, &settings))
         })
     };
     let mut seen = Vec::new();
-    each(false, &mut |renderer, PinholeView { camera, .. }| {
+    each(false, &mut |renderer, PinholeView { camera, .. }, settings| {
         // The medians of all views need no sharp pictures.
         let small = camera.scaled_to(camera.width.div_ceil(4), camera.height.div_ceil(4));
-        let depths = surface_of(renderer, &small, &settings)?.depth;
+        let depths = surface_of(renderer, &small, settings)?.depth;
         seen.extend(depths.into_iter().filter(|&depth| depth > 0.0).map(|depth| [depth, depth / camera.fx]));
         Ok(())
     })?;
@@ -129,13 +135,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let field = FieldSettings { least_views, ..FieldSettings::new(voxel, max_depth) };
     let mut blocks = FieldBlocks::new(&context, field)?;
-    each(true, &mut |renderer, view| blocks.add(view, &surface_of(renderer, &view.camera, &settings)?))
-        .map_err(named)?;
+    each(true, &mut |renderer, view, settings| {
+        blocks.add(view, &surface_of(renderer, &view.camera, settings)?)
+    })
+    .map_err(named)?;
     if blocks.is_empty() {
         return Err(Error::argument("--max-depth", "every surface lies beyond it, or masks hide it"));
     }
     let field = DistanceField::new(&context, &blocks).map_err(named)?;
-    each(true, &mut |renderer, view| field.integrate(renderer, view, &settings))?;
+    each(true, &mut |renderer, view, settings| field.integrate(renderer, view, settings))?;
     let mut mesh = field.mesh().map_err(named)?;
     bar.finish_and_clear();
     let removed = mesh.keep_parts(mesh.triangles.len() / SMALLEST_PART);
