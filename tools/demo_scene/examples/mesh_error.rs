@@ -8,7 +8,7 @@
 use ashsplat::scene::WorldFrame;
 use ashsplat_demo_scene::city::{self, City};
 use ashsplat_demo_scene::{Scene, View, raycast};
-use ashsplat_files::cameras_json;
+use ashsplat_files::{cameras_json, regular_file};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let limits = LIMITS.map(|share| 2.0 * radius * share);
     let counts = |point: &Vec3| point.length() < radius;
-    let mut points = points_of(&std::fs::read_to_string(mesh)?, SPACING * limits[1])?;
+    let mut points = points_of(&String::from_utf8(regular_file::read(mesh, 1)?)?, SPACING * limits[1])?;
     points.retain(counts);
     let off: Vec<f32> = points.par_iter().map(|&point| scene.distance(point)).collect();
     // Cells of the largest limit: what is nearer lies in one of 27.
