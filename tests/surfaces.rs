@@ -8,8 +8,8 @@ use crate::lenses::photographed;
 use crate::reference::blend::{beside, is_surface_depth};
 use crate::reference::pipeline::{self, pixels_of, tile_of};
 use crate::reference::splat_surface::{depth_slope, splat_normal};
-use ashsplat::scene::Intrinsics;
-use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh};
+use ashsplat::scene::{Intrinsics, PhotoLens, Projection, Readout, Shutter};
+use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh, PinholeView, Pinholes};
 use ashsplat::train::MomentsType;
 use ashsplat::{Surface, SurfaceDepth};
 use glam::{DVec3, Mat3};
@@ -73,16 +73,20 @@ fn cameras() -> Vec<Camera> {
     eyes.map(|eye| Camera::look_at(eye, Vec3::ZERO, aside(eye), intrinsics)).collect()
 }
 
-fn mesh_of(renderer: &mut Renderer, field: FieldSettings) -> Mesh {
+fn mesh_of(renderer: &mut Renderer, field: FieldSettings, cameras: &[Camera]) -> Mesh {
+    let views: Vec<PinholeView> = cameras
+        .iter()
+        .flat_map(|camera| Pinholes::new(&camera.photo_lens(), None).views(camera, None))
+        .collect();
     let settings = RenderSettings { surface: Some(SurfaceDepth::Median), ..RenderSettings::default() };
     let mut blocks = FieldBlocks::new(renderer.context(), field).expect("settings");
-    for camera in &cameras() {
-        let frame = renderer.render(camera, &settings).expect("a frame");
-        blocks.add(camera, &frame.surface.expect("asked for")).expect("blocks");
+    for view in &views {
+        let frame = renderer.render(&view.camera, &settings).expect("a frame");
+        blocks.add(view, &frame.surface.expect("asked for")).expect("blocks");
     }
     let field = DistanceField::new(renderer.context(), &blocks).expect("a field");
-    for camera in &cameras() {
-        field.integrate(renderer, camera, &settings).expect("a view");
+    for view in &views {
+        field.integrate(renderer, view, &settings).expect("a view");
     }
     field.mesh().expect("a mesh")
 }
@@ -93,9 +97,82 @@ fn a_ball_becomes_a_closed_mesh() {
     let mut renderer = renderer();
     renderer.upload(&disks(Vec3::ZERO)).expect("a scene");
     let field = FieldSettings { truncation: 0.125, ..FieldSettings::new(0.05, 10.0) };
-    let mut mesh = mesh_of(&mut renderer, field);
-    assert_eq!(mesh, mesh_of(&mut renderer, field), "the same bits");
+    let mut mesh = mesh_of(&mut renderer, field, &cameras());
+    assert_eq!(mesh, mesh_of(&mut renderer, field, &cameras()), "the same bits");
     mesh.keep_parts(mesh.triangles.len() / 2);
+    check_ball(&mesh);
+    let mut coarse = mesh.clone();
+    coarse.simplify(500);
+    assert!(mesh.triangles.len() > 5000 && coarse.triangles.len() == 500, "{}", coarse.triangles.len());
+    check_ball(&coarse);
+    mesh.simplify(500);
+    assert_eq!(mesh, coarse, "the same bits");
+    mesh.simplify(1);
+    assert_eq!((mesh.triangles.len(), mesh.positions.len()), (4, 4), "a tetrahedron has the ball's topology");
+}
+
+/// Cameras beside whose axes the ball lies, so that two faces of a cube show it.
+#[test]
+fn a_ball_through_lenses_becomes_a_closed_mesh() {
+    let _gpu = Gpu::new();
+    let mut renderer = renderer();
+    renderer.upload(&disks(Vec3::ZERO)).expect("a scene");
+    let wide = Intrinsics { cx: 144.0, cy: 140.0, width: 288, height: 288, ..cameras()[0].intrinsics() };
+    for projection in [Projection::Brown, Projection::Fisheye, Projection::Equirectangular] {
+        let through = |camera: Camera| match projection {
+            Projection::Brown => camera.with_lens(projection, &[-0.2, 0.03, 0.004, -0.003]),
+            Projection::Fisheye => {
+                let turn = Mat3::from_rotation_y(0.8);
+                let (rotation, translation) = (turn * camera.camera_from_world, turn * camera.translation);
+                Camera::with_pose(rotation, translation, wide).with_lens(projection, &[-0.02, 0.004])
+            }
+            _ => {
+                let turn = Mat3::from_rotation_x(0.8);
+                let (rotation, translation) = (turn * camera.camera_from_world, turn * camera.translation);
+                PhotoLens::panorama(824, 412).camera(rotation, translation)
+            }
+        };
+        let cameras: Vec<Camera> = cameras().into_iter().map(through).collect();
+        let field = FieldSettings { truncation: 0.125, ..FieldSettings::new(0.05, 10.0) };
+        let mut mesh = mesh_of(&mut renderer, field, &cameras);
+        mesh.keep_parts(mesh.triangles.len() / 2);
+        check_ball(&mesh);
+    }
+}
+
+#[test]
+fn pinholes_show_what_the_photograph_shows() {
+    let views = |camera: &Camera, mask: Option<&[u8]>| {
+        let photograph = mask.map(|_| camera.photo_lens());
+        Pinholes::new(&camera.photo_lens(), photograph.as_ref()).views(camera, mask)
+    };
+    let pinhole = cameras()[0];
+    let shutter = Some(Shutter { readout: Readout::Down, turn: Vec3::X, shift: Vec3::Y });
+    let own = vec![PinholeView { camera: pinhole, counts: None }];
+    assert_eq!((views(&pinhole, None), views(&Camera { shutter, ..pinhole }, None)), (own.clone(), own));
+    assert_eq!(views(&pinhole.orthographic(), None), []);
+    let mask: Vec<u8> = (0..96 * 96).map(|pixel| (pixel % 96 / 50) as u8).collect();
+    let counts: Vec<bool> = mask.iter().map(|&value| value != 0).collect();
+    assert_eq!(views(&pinhole, Some(&mask)), [PinholeView { camera: pinhole, counts: Some(counts) }]);
+    // Each pixel lies in one pinhole, whose pixels are those of the mask but for its edge.
+    let fisheye = Camera { fx: 40.0, fy: 40.0, ..pinhole }.with_lens(Projection::Fisheye, &[0.01]);
+    let found = views(&fisheye, Some(&mask));
+    assert_eq!(found.len(), 5);
+    let lens = fisheye.photo_lens();
+    let inner = (3..93).flat_map(|y| (3..93).map(move |x| [x, y]));
+    for [x, y] in inner.filter(|[x, _]| !(48..52).contains(x)) {
+        let ray = lens.ray(glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).expect("a direction");
+        let ray = fisheye.camera_from_world.as_dmat3().transpose() * ray;
+        let shown = found.iter().filter_map(|PinholeView { camera, counts }| {
+            let place = camera.photo_lens().pixels()(camera.camera_from_world.as_dmat3() * ray)?;
+            counts.as_ref().map(|counts| counts[place])
+        });
+        assert_eq!(shown.collect::<Vec<_>>(), [x >= 50], "({x}, {y})");
+    }
+}
+
+/// A closed ball of radius 1 with the colours of [`disks`].
+fn check_ball(mesh: &Mesh) {
     assert_eq!(open_edges(&mesh.triangles), 0, "the mesh has a border");
     let at = |vertex: u32| Vec3::from_array(mesh.positions[vertex as usize]);
     let volume: f32 = mesh
@@ -111,6 +188,28 @@ fn a_ball_becomes_a_closed_mesh() {
         let [red, _, blue] = *color;
         assert!(position.z.abs() < 0.15 || (red > blue) == (position.z > 0.0), "{color:?} at {position}");
     }
+}
+
+/// A bent sheet of squares: one half lies flat, the other stands upright. It needs no vertices but its six corners.
+#[test]
+fn simplified_borders_and_edges_stay() {
+    let side = 8u32;
+    let vertex = |x: u32, y: u32| x + (2 * side + 1) * y;
+    let all = (0..=side).flat_map(|y| (0..=2 * side).map(move |x| [x, y]));
+    let corners = |x, y| [vertex(x, y), vertex(x + 1, y), vertex(x, y + 1), vertex(x + 1, y + 1)];
+    let square = |[a, b, c, d]: [u32; 4]| [[a, b, d], [a, d, c]];
+    let squares = (0..side).flat_map(|y| (0..2 * side).map(move |x| corners(x, y)));
+    let mut mesh = Mesh {
+        positions: all.map(|[x, y]| [x.min(side), y, x.max(side) - side].map(|at| at as f32)).collect(),
+        colors: vec![[9, 8, 7]; vertex(2 * side, side) as usize + 1],
+        triangles: squares.flat_map(square).collect(),
+    };
+    mesh.simplify(4);
+    let mut found: Vec<[i32; 3]> =
+        mesh.positions.iter().map(|at| at.map(|at| (10.0 * at).round() as i32)).collect();
+    found.sort_unstable();
+    let expected = [[0, 0, 0], [0, 80, 0], [80, 0, 0], [80, 0, 80], [80, 80, 0], [80, 80, 80]];
+    assert_eq!((mesh.triangles.len(), &found[..], &mesh.colors[..]), (4, &expected[..], &[[9, 8, 7]; 6][..]));
 }
 
 /// Training with `surface` turns a ball's randomly oriented Gaussians to its surface and shrinks their shortest axes.
@@ -182,8 +281,11 @@ fn fields_refuse_what_they_cannot_fuse() {
     );
     let mut blocks = FieldBlocks::new(gpu.context, FieldSettings::new(0.1, 10.0)).expect("settings");
     assert_says(DistanceField::new(gpu.context, &blocks).err(), &["no view shows a surface"]);
-    let pinhole = cameras()[0];
-    assert_says(blocks.add(&pinhole.orthographic(), &Surface::default()).err(), &["is no pinhole"]);
+    let pinhole = PinholeView { camera: cameras()[0], counts: None };
+    let parallel = PinholeView { camera: pinhole.camera.orthographic(), counts: None };
+    assert_says(blocks.add(&parallel, &Surface::default()).err(), &["is no pinhole"]);
+    let few = PinholeView { counts: Some(vec![true; 96]), ..pinhole.clone() };
+    assert_says(blocks.add(&few, &Surface::default()).err(), &["counts", "96x96 pixels"]);
     assert_says(blocks.add(&pinhole, &Surface::default()).err(), &["96x96 pixels"]);
     let surface = Surface { depth: vec![2.0; 96 * 96], normals: Vec::new() };
     blocks.add(&pinhole, &surface).expect("blocks");

@@ -692,6 +692,19 @@ impl PhotoLens {
         self.place(at).is_some_and(|place| inside(self.position_of(place)) && self.is_sound_up_to(place))
     }
 
+    /// Gives the index of the pixel that shows a point in camera space, by rows. None if the picture does not show it. Looks for the
+    /// lens's fold only once.
+    pub fn pixels(&self) -> impl Fn(DVec3) -> Option<usize> + use<> {
+        let (lens, size) = (*self, dvec2(self.width.into(), self.height.into()));
+        let widest = if self.projection.has_seam() { f64::INFINITY } else { self.widest() };
+        move |at| {
+            let place = lens.place(at).filter(|place| place.length() < widest)?;
+            let position = lens.position_of(place);
+            let inside = position.cmpge(DVec2::ZERO).all() && position.cmplt(size).all();
+            inside.then(|| position.y as usize * lens.width as usize + position.x as usize)
+        }
+    }
+
     /// Same as [`PhotoLens::project`], without looking for folds.
     pub fn position(&self, at: DVec3) -> Option<DVec2> {
         Some(self.position_of(self.place(at)?))

@@ -1,9 +1,9 @@
 //! Which blocks of voxels lie near a surface.
 
+use super::pinholes::PinholeView;
 use crate::error::{Error, Result};
 use crate::kernels::constants::{FIELD_SIDE, FIELD_VOXELS, NO_BLOCK};
 use crate::render::Surface;
-use crate::scene::Camera;
 use crate::vk::Context;
 use glam::Vec3;
 use std::collections::HashSet;
@@ -57,13 +57,14 @@ impl FieldBlocks {
         Ok(Self { settings, found: HashSet::new(), limits: [whole, range] })
     }
 
-    /// Adds the blocks near the surface that a view shows.
+    /// Adds the blocks near the surface that a view shows where its pixels count.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a surface of another size than the camera's, a camera that is no pinhole, or voxels that are too
+    /// [`Error::Argument`] for a surface or counts of another size than the camera's, a camera that is no pinhole, or voxels that are too
     /// small for the distance from the origin; [`Error::TooLarge`] if the device cannot hold the field, besides frames and the mesh.
-    pub fn add(&mut self, camera: &Camera, surface: &Surface) -> Result<()> {
-        check_pinhole(camera)?;
+    pub fn add(&mut self, view: &PinholeView, surface: &Surface) -> Result<()> {
+        check_view(view)?;
+        let camera = &view.camera;
         let [width, height] = [camera.width, camera.height];
         if surface.depth.len() as u64 != u64::from(width) * u64::from(height) {
             return Err(Error::argument("surface", format!("has not {width}x{height} pixels")));
@@ -72,7 +73,8 @@ impl FieldBlocks {
         let block = self.settings.voxel * FIELD_SIDE as f32;
         let margin = Vec3::splat(MARGIN / FIELD_SIDE as f32);
         for (index, &depth) in surface.depth.iter().enumerate() {
-            if !(depth > 0.0 && depth < self.settings.max_depth) {
+            let counts = view.counts.as_ref().is_none_or(|counts| counts[index]);
+            if !(counts && depth > 0.0 && depth < self.settings.max_depth) {
                 continue;
             }
             let pixel = [index as u32 % width, index as u32 / width].map(|at| at as f32 + 0.5);
@@ -130,10 +132,14 @@ impl FieldBlocks {
     }
 }
 
-/// Refuses a camera of which depth maps are not fused.
-pub(super) fn check_pinhole(camera: &Camera) -> Result<()> {
-    match camera.is_pinhole() {
+/// Refuses views of which depth maps are not fused.
+pub(super) fn check_view(PinholeView { camera, counts }: &PinholeView) -> Result<()> {
+    let [width, height] = [camera.width, camera.height];
+    if !camera.is_pinhole() {
+        return Err(Error::argument("camera", "is no pinhole, and only depths of pinholes are fused"));
+    }
+    match counts.as_ref().is_none_or(|counts| counts.len() as u64 == u64::from(width) * u64::from(height)) {
         true => Ok(()),
-        false => Err(Error::argument("camera", "is no pinhole, and only depths of pinholes are fused")),
+        false => Err(Error::argument("counts", format!("has not {width}x{height} pixels"))),
     }
 }

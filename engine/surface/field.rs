@@ -1,15 +1,15 @@
 //! A field of signed distances on the device.
 
-use super::blocks::{FieldBlocks, FieldSettings, check_pinhole};
+use super::blocks::{FieldBlocks, FieldSettings, check_view};
 use super::cubes::cube_cases;
 use super::mesh::Mesh;
+use super::pinholes::PinholeView;
 use crate::error::{Error, Result};
 use crate::frame::{LaunchSizes, RenderSettings, buffer_set, to_u32};
 use crate::kernels::constants::{CUBE_WORDS, FIELD_VOXELS};
 use crate::kernels::surface::{count_triangles, count_vertices, integrate, place_triangles, place_vertices};
 use crate::passes::scan::{Scan, ScanBuffers, Workgroups};
 use crate::render::Renderer;
-use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
 
 /// Word of the number of voxels, and of the sum of their counts.
@@ -46,18 +46,20 @@ buffer_set! {
 ///
 /// # Examples
 /// ```no_run
-/// use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh};
+/// use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh, PinholeView, Pinholes};
 /// use ashsplat::{Camera, RenderSettings, Renderer, SurfaceDepth};
 ///
 /// fn mesh_of(renderer: &mut Renderer, cameras: &[Camera]) -> ashsplat::Result<Mesh> {
 ///     let settings = RenderSettings { surface: Some(SurfaceDepth::Front), ..RenderSettings::default() };
 ///     let mut blocks = FieldBlocks::new(renderer.context(), FieldSettings::new(0.01, 10.0))?;
-///     for camera in cameras {
-///         blocks.add(camera, &renderer.render(camera, &settings)?.surface.unwrap_or_default())?;
+///     let pinholes = |camera: &Camera| Pinholes::new(&camera.photo_lens(), None).views(camera, None);
+///     let views: Vec<PinholeView> = cameras.iter().flat_map(pinholes).collect();
+///     for view in &views {
+///         blocks.add(view, &renderer.render(&view.camera, &settings)?.surface.unwrap_or_default())?;
 ///     }
 ///     let field = DistanceField::new(renderer.context(), &blocks)?;
-///     for camera in cameras {
-///         field.integrate(renderer, camera, &settings)?;
+///     for view in &views {
+///         field.integrate(renderer, view, &settings)?;
 ///     }
 ///     field.mesh()
 /// }
@@ -113,19 +115,29 @@ impl DistanceField {
         })
     }
 
-    /// Renders the renderer's scene in a view, and adds its depths and colours to the field. Without
+    /// Renders the renderer's scene in a view, and adds the depths and colours of the pixels that count to the field. Without
     /// [`RenderSettings::surface`], depths are medians.
     ///
     /// # Errors
-    /// Same as [`Renderer::render`]; [`Error::Argument`] for a camera that is no pinhole.
+    /// Same as [`Renderer::render`]; [`Error::Argument`] for a camera that is no pinhole, or counts of another size.
     pub fn integrate(
         &self,
         renderer: &mut Renderer,
-        camera: &Camera,
+        view: &PinholeView,
         settings: &RenderSettings,
     ) -> Result<()> {
-        check_pinhole(camera)?;
+        check_view(view)?;
+        let camera = &view.camera;
         let frame = renderer.draw_surface(camera, settings)?;
+        if let Some(counts) = &view.counts {
+            let mut surfaces: Vec<[f32; 4]> = self.read(&frame.surfaces, counts.len() as u64)?;
+            surfaces
+                .iter_mut()
+                .zip(counts)
+                .filter(|(_, counts)| !**counts)
+                .for_each(|(surface, _)| surface[3] = 0.0);
+            self.context.upload(&frame.surfaces, bytemuck::cast_slice(&surfaces))?;
+        }
         let rows = camera.camera_from_world.transpose();
         let FieldSettings { voxel, truncation, max_depth, .. } = self.settings;
         let push = integrate::Push {

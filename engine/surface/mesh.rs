@@ -27,6 +27,12 @@ impl Mesh {
             sizes[root(&mut above, triangle[0]) as usize] += 1;
         }
         self.triangles.retain(|triangle| sizes[root(&mut above, triangle[0]) as usize] >= min_triangles);
+        self.remove_unused();
+        sizes.iter().filter(|&&size| (1..min_triangles).contains(&size)).count()
+    }
+
+    /// Removes vertices of no triangle.
+    pub(super) fn remove_unused(&mut self) {
         let mut used = vec![false; self.positions.len()];
         self.triangles.as_flattened().iter().for_each(|&vertex| used[vertex as usize] = true);
         let mut kept = 0;
@@ -36,7 +42,6 @@ impl Mesh {
         self.positions.retain(|_| *is_used.next().unwrap_or(&false));
         let mut is_used = used.iter();
         self.colors.retain(|_| *is_used.next().unwrap_or(&false));
-        sizes.iter().filter(|&&size| (1..min_triangles).contains(&size)).count()
     }
 }
 

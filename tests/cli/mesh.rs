@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::common::splats::disks;
+use ashsplat_files::cameras_json;
 
 const VIEWS: &str = "--orbit 12 --width 96 --height 96 --fov 40";
 
@@ -33,6 +34,9 @@ fn meshes_are_written_whole_and_alike() {
     let header = String::from_utf8_lossy(&bytes[..400]).into_owned();
     let counts = [format!("element vertex {}", vertices.len()), format!("element face {}", triangles.len())];
     assert_says(&header, &[&counts[0], &counts[1], "property list uchar int vertex_indices"]);
+    let coarse =
+        place.run(format!("mesh @ball.ply -o @coarse.ply {VIEWS} --voxel 0.06 --triangles 500")).ok().stdout;
+    assert_says(&coarse, &["coarse.ply: 500 triangles, "]);
     let end = header.find("end_header\n").expect("its end") + "end_header\n".len();
     assert_eq!(bytes.len(), end + 15 * vertices.len() + 13 * triangles.len());
 
@@ -89,6 +93,7 @@ fn meshes_that_cannot_be_made() {
     refuses("mesh @ball.ply -o @out/a.ply", &["ball.ply: has no cameras", "--orbit N"]);
     refuses(&format!("mesh @none.ply -o @out/a.ply {VIEWS}"), &["none.ply", "no surface"]);
     refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --voxel 0"), &["--voxel", "positive"]);
+    refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --triangles 0"), &["--triangles", "not in 1"]);
     refuses(
         &format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-depth 0.5"),
         &["--max-depth", "lies beyond"],
@@ -98,8 +103,68 @@ fn meshes_that_cannot_be_made() {
     refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --voxel 9"), &["ball.ply", "larger than a voxel"]);
     refuses("mesh @ball.ply -o @out/a.ply --orbit 2 --width 96", &["2 views are too few"]);
     place.run(format!("mesh @ball.ply -o @ball.ply {VIEWS}")).refused(&["--out", "ball.ply is read"]);
-    let lens = "--orbit 4 --width 96 --camera-model EQUIRECTANGULAR";
-    refuses(&format!("mesh @ball.ply -o @out/a.ply {lens}"), &["no view through a pinhole"]);
+    let parallel = r#"[{"id": 0, "img_name": "a", "width": 96, "height": 96, "position": [0, 0, -4], "fx": 40, "fy": 40,
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "projection": "orthographic"}]"#;
+    place.write("parallel.json", parallel);
+    refuses("mesh @ball.ply -o @out/a.ply --path @parallel.json", &["only views with parallel rays"]);
+}
+
+/// Vertices of an OBJ.
+fn vertices(text: &str) -> Vec<Vec3> {
+    let vertex = |line: &str| {
+        let mut numbers = line.split(' ').map(|word| word.parse().expect("a number"));
+        Vec3::from_array(std::array::from_fn(|_| numbers.next().expect("a coordinate")))
+    };
+    text.lines().filter_map(|line| line.strip_prefix("v ")).map(vertex).collect()
+}
+
+#[test]
+fn panoramas_are_meshed() {
+    let place = TestFolder::empty();
+    place.write_scene("ball.ply", &disks(Vec3::ZERO));
+    let views = "--orbit 12 --width 512 --camera-model EQUIRECTANGULAR";
+    place.run(format!("mesh @ball.ply -o @ball.obj {views} --voxel 0.06 --max-depth 10 --quiet")).ok();
+    let vertices = vertices(&place.read_text("ball.obj"));
+    assert!(vertices.len() > 1000 && vertices.iter().all(|at| (at.length() - 1.0).abs() < 0.15));
+}
+
+/// A mask hides the right half of the ball, and counts in the views of a model as in those of the data set.
+#[test]
+fn masks_hide_what_is_not_meshed() {
+    let place = TestFolder::new();
+    place.write_scene("model/point_cloud/iteration_1/point_cloud.ply", &disks(Vec3::ZERO));
+    place.write("model/cfg_args", format!("Namespace(source_path='{}')", place.at("data").display()));
+    let named: Vec<(String, Camera)> =
+        (0..super::VIEWS).map(|index| (photo_name(index), view(index))).collect();
+    let named = named.iter().map(|(name, camera)| (name.as_str(), camera));
+    cameras_json::write(place.at("model/cameras.json"), named, &WorldFrame::default()).expect("written");
+    let mesh = |name: &str, views: &str| {
+        let line = format!("mesh @model -o @{name} {views} --voxel 0.05");
+        let finished = place.run(line).ok();
+        let right = vertices(&place.read_text(name)).iter().map(|at| at.x).fold(f32::NEG_INFINITY, f32::max);
+        (finished, right)
+    };
+    let (plain, right) = mesh("plain.obj", "");
+    assert!(
+        right > 0.45 && !plain.stdout.contains("mask") && plain.stderr.is_empty(),
+        "{right}: {}",
+        plain.stdout
+    );
+    for index in 0..super::VIEWS {
+        let rgb = (0..SIZE[0] * SIZE[1]).flat_map(|at| [if at % SIZE[0] < SIZE[0] / 2 { 255 } else { 0 }; 3]);
+        let mask = Photo { width: SIZE[0], height: SIZE[1], rgb: rgb.collect() };
+        place.create_folder("data/masks");
+        mask.write_png(place.at("data/masks").join(photo_name(index))).expect("a mask");
+    }
+    let (masked, right) = mesh("masked.obj", "");
+    assert_says(&masked.stdout, &["9 photographs are read for their masks"]);
+    assert!(right < 0.25, "{right}");
+    mesh("named.obj", "-s @data");
+    assert_eq!(place.read("masked.obj"), place.read("named.obj"), "the same bytes");
+    std::fs::rename(place.at("data"), place.at("gone")).expect("renamed");
+    let (warned, right) = mesh("unmasked.obj", "");
+    assert!(right > 0.45, "{right}");
+    assert_says(&warned.stderr, &["data cannot be read, so that no photograph's mask counts"]);
 }
 
 #[test]

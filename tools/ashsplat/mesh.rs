@@ -1,17 +1,21 @@
 //! `ashsplat mesh`.
 
 use crate::render::views;
-use ashsplat::scene::Camera;
-use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings};
+use ashsplat::scene::{Camera, WorldFrame};
+use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, PinholeView, Pinholes};
 use ashsplat::{Error, RenderSettings, Renderer, Result, Surface, SurfaceDepth};
+use ashsplat_files::Gallery;
+use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_files::mesh::MeshFormat;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
-use ashsplat_program::model::ModelArguments;
+use ashsplat_program::model::{Model, ModelArguments};
 use ashsplat_program::progress::{counting, significant, thousands};
 use ashsplat_program::{output, session};
 use clap::Args;
-use std::path::PathBuf;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 
 /// Make a mesh of a trained scene, with coloured vertices, by fusing the depths of the training's views into a distance
 /// field.
@@ -31,6 +35,9 @@ pub struct Arguments {
     /// Depth beyond which nothing is meshed, in the data set's units [default: twice the median depth]
     #[arg(long, value_name = "DEPTH", value_parser = positive)]
     max_depth: Option<f32>,
+    /// Collapse edges, those first that change the surface least, until at most N triangles are left
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    triangles: Option<u32>,
     #[command(flatten)]
     views: views::Arguments,
     #[command(flatten)]
@@ -59,44 +66,51 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let model = arguments.model.locate()?;
     output::check_apart(&[("--out", Some(&arguments.out))], std::slice::from_ref(&model.ply))?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
-    let views = arguments.views.choose(&model, &scene, None)?;
-    let cameras = views.cameras.iter().map(|named| named.camera);
-    let (cameras, others): (Vec<Camera>, Vec<Camera>) = cameras.partition(Camera::is_pinhole);
-    if cameras.is_empty() {
-        let remedy = "give pinholes: --path FILE or --orbit N";
-        return Err(Error::input(&model.ply, "has no view through a pinhole", remedy));
+    let stop = session::stop_on_ctrl_c()?;
+    let gallery = dataset(arguments, &model, &scene.frame, &stop)?;
+    let views = arguments.views.choose(&model, &scene, gallery.as_ref(), None)?;
+    let photographed = Photographed::new(&views.cameras, gallery.as_ref())?;
+    let count = photographed.views.len();
+    if count == 0 {
+        let remedy = "give other views: --path FILE or --orbit N";
+        return Err(Error::input(&model.ply, "has only views with parallel rays", remedy));
     }
-    if !others.is_empty() {
-        errln!("warning: {} views through lenses or with parallel rays are left out", others.len());
+    if count < views.cameras.len() {
+        errln!("warning: {} views with parallel rays are left out", views.cameras.len() - count);
     }
     let [few, many] = MIN_VIEWS;
-    let least_views = (cameras.len() as u32 / 5).clamp(few, many);
-    if cameras.len() < few as usize {
-        let problem = format!("{} views are too few, a mesh takes {few}", cameras.len());
+    let least_views = (count as u32 / 5).clamp(few, many);
+    if count < few as usize {
+        let problem = format!("{count} views are too few, a mesh takes {few}");
         return Err(Error::input(&model.ply, problem, "give more: --path FILE or --orbit N"));
     }
-    if let (Some(note), false) = (&views.note, arguments.quiet) {
-        outln!("{note}");
+    if !arguments.quiet {
+        views.note.into_iter().chain(photographed.notes()).for_each(|note| outln!("{note}"));
     }
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { surface: Some(SurfaceDepth::Front), ..look };
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload_stored(&scene.gaussians, arguments.look.stored(&scene.gaussians))?;
-    let stop = session::stop_on_ctrl_c()?;
-    let bar = counting("views", 3 * cameras.len() as u64, arguments.quiet);
-    let mut each = |work: &mut dyn FnMut(&mut Renderer, &Camera) -> Result<()>| {
-        cameras.iter().try_for_each(|camera| {
+    let bar = counting("views", 3 * count as u64, arguments.quiet);
+    type Work<'a> = dyn FnMut(&mut Renderer, &PinholeView, &RenderSettings) -> Result<()> + 'a;
+    let mut each = |masked: bool, work: &mut Work| {
+        (0..count).try_for_each(|index| {
             session::check(&stop)?;
             bar.inc(1);
-            work(&mut renderer, camera)
+            // Fisheyes and panoramas have trained the scene in this order.
+            let by_distance = photographed.views[index].camera.projection.orders_by_distance();
+            let distance_order = settings.distance_order || by_distance;
+            let settings = RenderSettings { distance_order, ..settings };
+            let views = photographed.pinholes(index, masked)?;
+            views.iter().try_for_each(|view| work(&mut renderer, view, &settings))
         })
     };
     let mut seen = Vec::new();
-    each(&mut |renderer, camera| {
+    each(false, &mut |renderer, PinholeView { camera, .. }, settings| {
         // The medians of all views need no sharp pictures.
         let small = camera.scaled_to(camera.width.div_ceil(4), camera.height.div_ceil(4));
-        let depths = surface_of(renderer, &small, &settings)?.depth;
+        let depths = surface_of(renderer, &small, settings)?.depth;
         seen.extend(depths.into_iter().filter(|&depth| depth > 0.0).map(|depth| [depth, depth / camera.fx]));
         Ok(())
     })?;
@@ -121,13 +135,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let field = FieldSettings { least_views, ..FieldSettings::new(voxel, max_depth) };
     let mut blocks = FieldBlocks::new(&context, field)?;
-    each(&mut |renderer, camera| blocks.add(camera, &surface_of(renderer, camera, &settings)?))
-        .map_err(named)?;
+    each(true, &mut |renderer, view, settings| {
+        blocks.add(view, &surface_of(renderer, &view.camera, settings)?)
+    })
+    .map_err(named)?;
     if blocks.is_empty() {
-        return Err(Error::argument("--max-depth", "every surface lies beyond it"));
+        return Err(Error::argument("--max-depth", "every surface lies beyond it, or masks hide it"));
     }
     let field = DistanceField::new(&context, &blocks).map_err(named)?;
-    each(&mut |renderer, camera| field.integrate(renderer, camera, &settings))?;
+    each(true, &mut |renderer, view, settings| field.integrate(renderer, view, settings))?;
     let mut mesh = field.mesh().map_err(named)?;
     bar.finish_and_clear();
     let removed = mesh.keep_parts(mesh.triangles.len() / SMALLEST_PART);
@@ -136,6 +152,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&model.ply, problem, "give other views, or a smaller --voxel"));
     }
     session::check(&stop)?;
+    if let Some(count) = arguments.triangles {
+        mesh.simplify(count as usize);
+        let left = mesh.triangles.len();
+        if left > count as usize {
+            errln!(
+                "warning: --triangles: {} are left, since fewer would change the topology",
+                thousands(left as u64)
+            );
+        }
+    }
     output::in_folder(&arguments.out, |path| format.write(path, &mesh, &scene.frame))?;
     if !arguments.quiet {
         let [vertices, triangles] =
@@ -151,4 +177,91 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 fn surface_of(renderer: &mut Renderer, camera: &Camera, settings: &RenderSettings) -> Result<Surface> {
     Ok(renderer.render(camera, settings)?.surface.unwrap_or_default())
+}
+
+/// Opens the data set of which the views are, if there is one. That of the training may be gone.
+fn dataset(
+    arguments: &Arguments,
+    model: &Model,
+    frame: &WorldFrame,
+    stop: &AtomicBool,
+) -> Result<Option<Gallery>> {
+    let (trained, views) = (&model.settings.data, &arguments.views);
+    let open = |dataset: &Path| session::gallery(dataset, trained, frame, stop);
+    if let Some(dataset) = &views.source_path {
+        return open(dataset).map(Some);
+    }
+    let is_known = views.are_of_training() && !trained.source_path.as_os_str().is_empty();
+    match is_known.then(|| open(&trained.source_path)) {
+        Some(Err(Error::Interrupted)) => Err(Error::Interrupted),
+        Some(Err(_)) => {
+            let dataset = trained.source_path.display();
+            errln!(
+                "warning: {dataset} cannot be read, so that no photograph's mask counts: name the data set with -s"
+            );
+            Ok(None)
+        }
+        opened => opened.transpose(),
+    }
+}
+
+/// A view, the place of its lens's pinholes, and its photograph's index if that may have a mask.
+struct PhotographedView {
+    camera: Camera,
+    pinholes: usize,
+    photograph: Option<usize>,
+}
+
+/// Views with their photographs' masks.
+struct Photographed<'a> {
+    gallery: Option<&'a Gallery>,
+    pinholes: Vec<Pinholes>,
+    views: Vec<PhotographedView>,
+}
+
+impl<'a> Photographed<'a> {
+    /// Finds the photographs by name. Leaves views with parallel rays out.
+    fn new(cameras: &[NamedCamera], gallery: Option<&'a Gallery>) -> Result<Self> {
+        let known = gallery.map_or(Vec::new(), Gallery::cameras);
+        let known: HashMap<&str, usize> =
+            known.iter().enumerate().map(|(index, named)| (named.name.as_str(), index)).collect();
+        let used = gallery.map_or(Ok(Vec::new()), Gallery::used_cameras)?;
+        let mut all = Self { gallery, pinholes: Vec::new(), views: Vec::new() };
+        for NamedCamera { name, camera } in cameras.iter().filter(|named| !named.camera.is_orthographic()) {
+            let may_be_masked = |index: &usize| gallery.is_some_and(|gallery| gallery.may_be_masked(*index));
+            let photograph = known.get(name.as_str()).copied().filter(may_be_masked);
+            let lenses = (camera.photo_lens(), photograph.map(|index| used[index].photo_lens()));
+            let place =
+                all.pinholes.iter().position(|pinholes| pinholes.are_of(&lenses.0, lenses.1.as_ref()));
+            if place.is_none() {
+                all.pinholes.push(Pinholes::new(&lenses.0, lenses.1.as_ref()));
+            }
+            let pinholes = place.unwrap_or(all.pinholes.len() - 1);
+            all.views.push(PhotographedView { camera: *camera, pinholes, photograph });
+        }
+        Ok(all)
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let count = |counts: &dyn Fn(&PhotographedView) -> bool| {
+            self.views.iter().filter(|view| counts(view)).count()
+        };
+        let (masked, rolling) =
+            (count(&|view| view.photograph.is_some()), count(&|view| view.camera.shutter.is_some()));
+        let masks = format!("{masked} photographs are read for their masks, which hide what is not meshed");
+        let poses = format!("{rolling} views with a rolling shutter are drawn from their pose halfway");
+        [(masked, masks), (rolling, poses)]
+            .into_iter()
+            .filter_map(|(count, note)| (count > 0).then_some(note))
+            .collect()
+    }
+
+    /// The pinholes of a view, and the pixels that its mask lets count.
+    fn pinholes(&self, index: usize, masked: bool) -> Result<Vec<PinholeView>> {
+        let view = &self.views[index];
+        let photograph = self.gallery.zip(view.photograph.filter(|_| masked));
+        let photograph = photograph.and_then(|(gallery, index)| gallery.view(index)).transpose()?;
+        let mask = photograph.map(|view| view.photo.mask()).transpose()?.flatten();
+        Ok(self.pinholes[view.pinholes].views(&view.camera, mask.as_deref()))
+    }
 }

@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         None => arguments.look.load(&model.ply, host)?,
     };
-    let views = arguments.views.choose(&model, &scene, film)?;
+    let views = arguments.views.choose(&model, &scene, None, film)?;
     if tree.is_some() && views.cameras.iter().any(|named| named.camera.has_lens()) {
         let remedy = "render the scene that the tiles were made of, or through a pinhole";
         return Err(Error::input(path, "is a folder of tiles, which lenses do not choose from", remedy));

@@ -102,6 +102,30 @@ pub fn first_hit<'a>(scene: &'a Scene, ray: &Ray) -> Option<Hit<'a>> {
     hits.min_by(|a, b| a.distance.total_cmp(&b.distance))
 }
 
+/// Distance of a point from a shape's surface.
+pub(crate) fn distance(shape: &Shape, point: Vec3) -> f32 {
+    let at = local_position(shape, point);
+    let signed = match shape {
+        Shape::Sphere { radius, .. } => at.length() - radius,
+        Shape::Box { half, .. } => {
+            let beyond = at.abs() - *half;
+            beyond.max(Vec3::ZERO).length() + beyond.max_element().min(0.0)
+        }
+        Shape::Capsule { start, end, radius } => {
+            let axis = end - start;
+            at.distance(axis * (at.dot(axis) / axis.length_squared()).clamp(0.0, 1.0)) - radius
+        }
+        Shape::Torus { major, minor, .. } => torus_distance(at, *major, *minor),
+        Shape::Terrace { radius } => Vec2::new((at.truncate().length() - radius).max(0.0), at.z).length(),
+    };
+    signed.abs()
+}
+
+/// Distance from a torus around the z axis at the origin, negative inside.
+fn torus_distance(at: Vec3, major: f32, minor: f32) -> f32 {
+    Vec2::new(at.truncate().length() - major, at.z).length() - minor
+}
+
 /// Light that returns along a ray; `sun_sample` in 0..9 chooses the point of the sun's disc for the shadow.
 fn light(scene: &Scene, ray: &Ray, sun_sample: u32) -> Vec3 {
     let Some(hit) = first_hit(scene, ray) else { return scene.sky(ray.direction) };
@@ -233,13 +257,9 @@ fn hit_capsule(ray: &Ray, start: Vec3, end: Vec3, radius: f32) -> Option<(f32, V
 /// Intersects a torus around the z axis at the origin, by sphere tracing within its bounding sphere.
 fn hit_torus(ray: &Ray, major: f32, minor: f32) -> Option<(f32, Vec3)> {
     let (enter, leave) = sphere_roots(ray, Vec3::ZERO, major + minor)?;
-    let signed_distance = |p: Vec3| {
-        let to_ring = p.truncate().length() - major;
-        Vec2::new(to_ring, p.z).length() - minor
-    };
     let mut t = enter.max(SKIN);
     for _ in 0..64 {
-        let distance = signed_distance(ray.at(t));
+        let distance = torus_distance(ray.at(t), major, minor);
         if distance < 1e-4 {
             let p = ray.at(t);
             let ring = p.truncate().normalize_or_zero() * major;

@@ -139,16 +139,29 @@ pub fn warn(warnings: &[String]) {
     }
 }
 
-/// The cameras of a data set by name, at the photos' own sizes, in a frame of coordinates. Level, orientation, lenses and, where the
-/// data set has it, the photos' folder are as in a training with these settings; photos are not read. Ctrl-C stops the call,
-/// so that nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
+/// The cameras of a data set by name, at the photos' own sizes, in a frame of coordinates, as [`gallery`] opens it; photos are not
+/// read. Ctrl-C stops the call, so that nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
 pub fn cameras(dataset: &Path, trained: &DataSettings, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
-    let progress = Progress { report: None, interrupted: Some(&stop) };
+    let cameras = gallery(dataset, trained, frame, &stop)?.cameras();
+    end_at_once(&stop)?;
+    Ok(cameras)
+}
+
+/// Opens a data set in a frame of coordinates. Level, orientation, transparency, lenses and, where the data set has it, the photos'
+/// folder are as in a training with these settings. `stop` ends it.
+pub fn gallery(
+    dataset: &Path,
+    trained: &DataSettings,
+    frame: &WorldFrame,
+    stop: &AtomicBool,
+) -> Result<Gallery> {
+    let progress = Progress { report: None, interrupted: Some(stop) };
     let mut options = DatasetOptions {
         frame: Some(*frame),
         level: trained.level.parse()?,
         undistort: trained.undistort,
+        alpha: trained.alpha.parse()?,
         orientation: trained.orientation.parse()?,
         ..Default::default()
     };
@@ -156,9 +169,7 @@ pub fn cameras(dataset: &Path, trained: &DataSettings, frame: &WorldFrame) -> Re
     if !dataset.is_dir() || dataset.join(&trained.images).is_dir() {
         options.images.clone_from(&trained.images);
     }
-    let cameras = Gallery::open(dataset, &options, progress)?.cameras();
-    end_at_once(&stop)?;
-    Ok(cameras)
+    Gallery::open(dataset, &options, progress)
 }
 
 /// Makes Ctrl-C end the program at once, because the flag is not read any more. An earlier Ctrl-C

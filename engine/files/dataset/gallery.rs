@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use super::plan::{Level, Plan};
 use super::planned_view::{Crop, Mask, PlannedView, Track};
 use super::unpacked::Unpacked;
-use super::{DatasetOptions, View, reader};
+use super::{AlphaUse, DatasetOptions, View, reader};
 use crate::cameras_json::NamedCamera;
 use crate::colmap::{self, Model};
 use crate::progress::Progress;
@@ -197,6 +197,15 @@ impl Gallery {
     /// Width and height in pixels that a photo will have when it is read; `None` for an index out of range.
     pub fn size(&self, index: usize) -> Option<(u32, u32)> {
         Some(self.plan.views.get(index)?.size(&self.options))
+    }
+
+    /// False if no mask hides pixels of a photo, which is known before it is read.
+    pub fn may_be_masked(&self, index: usize) -> bool {
+        let masked = |view: &PlannedView| {
+            let named = view.mask_path.is_some() || view.coarse_mask.is_some() || view.rim.is_some();
+            named || self.options.alpha == AlphaUse::Mask
+        };
+        self.plan.views.get(index).is_some_and(masked)
     }
 
     /// Reads a photo as the options say; `None` for an index out of range.

@@ -2,6 +2,7 @@
 
 use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
 use ashsplat::{Error, Result};
+use ashsplat_files::Gallery;
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::splats::Scene;
 use ashsplat_program::config::CAMERAS_FILE;
@@ -24,7 +25,7 @@ const FILM_FRAMES: u32 = 240;
 pub struct Arguments {
     /// Render all views of this data set
     #[arg(short, long, value_name = "DATASET", conflicts_with_all = ["orbit", "path", "motion"])]
-    source_path: Option<PathBuf>,
+    pub source_path: Option<PathBuf>,
     /// Render N views around the scene, where the cameras of the training saw it [default for films: 240]
     #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES))]
     orbit: Option<u32>,
@@ -107,6 +108,13 @@ impl Arguments {
         }
     }
 
+    /// True for the training's views, which no argument replaces.
+    pub fn are_of_training(&self) -> bool {
+        let others =
+            [self.source_path.is_some(), self.path.is_some(), self.orbit.is_some(), self.motion.is_some()];
+        others == [false; 4]
+    }
+
     fn motion(&self) -> Option<Motion> {
         Some(match self.motion.as_deref()? {
             "orbit" => Motion::Orbit,
@@ -115,7 +123,14 @@ impl Arguments {
         })
     }
 
-    pub fn choose(&self, model: &Model, scene: &Scene, film: Option<Container>) -> Result<Views> {
+    /// Chooses the views. `gallery` is the data set of the arguments, if it is open already.
+    pub fn choose(
+        &self,
+        model: &Model,
+        scene: &Scene,
+        gallery: Option<&Gallery>,
+        film: Option<Container>,
+    ) -> Result<Views> {
         let own = model.cameras_file();
         let unsaid = film.is_some() && self.source_path.is_none() && self.path.is_none();
         if let Some(count) = self.orbit.or_else(|| (unsaid || self.motion.is_some()).then_some(FILM_FRAMES)) {
@@ -125,6 +140,7 @@ impl Arguments {
             return Err(Error::argument("--up", "is for orbits (--orbit N): these cameras have their own"));
         }
         let mut cameras = match (&self.source_path, &self.path, own) {
+            (Some(_), _, _) if let Some(gallery) = gallery => gallery.cameras(),
             (Some(dataset), _, _) => session::cameras(dataset, &model.settings.data, &scene.frame)?,
             (None, Some(path), _) => self.along(path, &scene.frame)?,
             (None, None, Some(path)) => cameras_json::read(path, &scene.frame)?,
