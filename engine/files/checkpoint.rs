@@ -18,9 +18,7 @@ use ashsplat::train::checkpoint::{
     Capacities, Checkpoint, ExposureState, MomentState, PoseState, StrategyState, Tensor, packed_planes,
 };
 use ashsplat::train::strategy::Actions;
-use ashsplat::train::{
-    BlockState, LENS_STATE_VALUES, LensState, MomentsType, TrainSettings, ZOOM_STATE_VALUES,
-};
+use ashsplat::train::{BlockState, LENS_STATE_VALUES, LensState, MomentsType, TrainSettings, ZoomState};
 use ashsplat::{Error, Result};
 
 /// Changes when older files can no longer be read.
@@ -247,7 +245,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         poses: poses(&tensors)?,
         lens_opt: LensState {
             lenses: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
-            zoom: optional_values(&tensors, Checkpoint::LENS_ZOOM, &[ZOOM_STATE_VALUES])?.pop(),
+            zoom: optional_values(&tensors, Checkpoint::LENS_ZOOM, &[size_of::<ZoomState>() / 4])?.pop(),
         },
         skipped: metadata.parsed(SKIPPED)?,
         block: metadata.block()?,

@@ -5,7 +5,6 @@ use crate::frame::{FrameInputs, LaunchSizes, SceneBuffers, first_lens_sum};
 use crate::kernels::optimizer::scale_scene;
 use crate::kernels::poses::lens_gradient;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
-use glam::Vec3;
 
 /// Kernel of the gradient with respect to a lens.
 pub struct LensGradient {
@@ -49,13 +48,19 @@ impl SceneScaling {
     }
 
     /// Scales the means and scales of all Gaussians about `center` (world), immediately.
-    pub fn run(&self, context: &Context, scene: &SceneBuffers, center: Vec3, log_factor: f64) -> Result<()> {
+    pub fn run(
+        &self,
+        context: &Context,
+        scene: &SceneBuffers,
+        center: [f32; 3],
+        log_factor: f64,
+    ) -> Result<()> {
         let scaled = context.run("scale scene", |r| {
             for range in scene.plan.ranges(scene.count) {
                 let bind = scale_scene::Bind { parameters: &scene.chunks[range.chunk] };
                 let push = scale_scene::Push {
                     count: range.count,
-                    center: center.to_array(),
+                    center,
                     growth: log_factor.exp_m1() as f32,
                     log_factor: log_factor as f32,
                 };

@@ -5,7 +5,7 @@
 //! numbers are keyed by seed and iteration, so no generator has state.
 
 use super::block::{BlockState, SceneBlock};
-use super::lens_opt::{LENS_STATE_VALUES, LensState, ZOOM_STATE_VALUES};
+use super::lens_opt::{LENS_STATE_VALUES, LensState, ZoomState};
 use super::schedule::Actions;
 use super::settings::{MomentsType, TrainSettings};
 use crate::error::{Error, Result};
@@ -288,7 +288,11 @@ impl Checkpoint {
             tensors.push(Tensor::new(Self::LENS_OPT, [lenses.len(), LENS_STATE_VALUES], lenses));
         }
         if let Some(zoom) = zoom {
-            tensors.push(Tensor::new(Self::LENS_ZOOM, [1, ZOOM_STATE_VALUES], zoom));
+            tensors.push(Tensor::new(
+                Self::LENS_ZOOM,
+                [1, size_of::<ZoomState>() / 4],
+                std::slice::from_ref(zoom),
+            ));
         }
         tensors
     }

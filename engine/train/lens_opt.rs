@@ -17,13 +17,11 @@ use crate::passes::lens::SceneScaling;
 use crate::passes::poses::{WEIGHT_DECAY, adam_on_host};
 use crate::scene::{Camera, Gaussians, LENS_PARAMETERS, Projection};
 use crate::vk::Context;
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 
 /// Values of a lens in a checkpoint: see [`LensState`].
 pub const LENS_STATE_VALUES: usize = 3 * LENS_PARAMETERS + 1;
-
-/// Values of [`LensState::zoom`].
-pub const ZOOM_STATE_VALUES: usize = 8;
 
 /// Rate of the dolly zoom, times the lenses' rate.
 const ZOOM_RATE: f64 = 5.0;
@@ -34,9 +32,24 @@ pub struct LensState {
     /// One row per lens, in the order of the first views that have them: the changes of the focal lengths, the principal point and
     /// the coefficients, in the units of the optimiser; Adam's first and second moments of each; the number of steps.
     pub lenses: Vec<[f32; LENS_STATE_VALUES]>,
-    /// The dolly zoom: the logarithm of the factor of all focal lengths, Adam's two moments, the number of steps, the logarithm that
-    /// scene and cameras have already, and the point about which the scene scales (world).
-    pub zoom: Option<[f32; ZOOM_STATE_VALUES]>,
+    /// None in checkpoints of before there was a zoom.
+    pub zoom: Option<ZoomState>,
+}
+
+/// The dolly zoom: a factor of all focal lengths together with the opposite scaling of the scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct ZoomState {
+    /// Logarithm of the factor.
+    pub log_factor: f32,
+    /// Adam's first and second moment.
+    pub moments: [f32; 2],
+    /// Number of steps.
+    pub steps: f32,
+    /// Logarithm of the factor that scene and cameras have already.
+    pub applied: f32,
+    /// Point about which the scene scales, world.
+    pub center: [f32; 3],
 }
 
 /// The lenses of a run that optimises them.
@@ -50,11 +63,10 @@ pub(super) struct LensOptimizer {
     pub refused: u32,
 }
 
-/// A factor of all focal lengths together with the opposite scaling of the scene.
 struct DollyZoom {
     /// True if the scene may be scaled.
     enabled: bool,
-    state: [f32; ZOOM_STATE_VALUES],
+    state: ZoomState,
 }
 
 struct Lens {
@@ -94,18 +106,13 @@ impl DollyZoom {
             center_of(camera) + depth * camera.camera_from_world.transpose().z_axis.as_dvec3()
         };
         let center = cameras.iter().map(looked_at).sum::<DVec3>() / cameras.len() as f64;
-        let mut state = [0.0; ZOOM_STATE_VALUES];
-        state[5..].copy_from_slice(&center.as_vec3().to_array());
+        let state = ZoomState { center: center.as_vec3().to_array(), ..ZoomState::default() };
         Self { enabled, state }
-    }
-
-    fn center(&self) -> Vec3 {
-        Vec3::from_slice(&self.state[5..])
     }
 
     /// Factor of the focal lengths that scene and cameras have already.
     fn factor(&self) -> f64 {
-        f64::from(self.state[4]).exp()
+        f64::from(self.state.applied).exp()
     }
 
     /// Makes a step with the gradients of the lens of the camera that was drawn and of a displacement of the scene.
@@ -113,18 +120,21 @@ impl DollyZoom {
         if !self.enabled {
             return;
         }
+        let state = &mut self.state;
         let of_lens = drawn.lens_gradient(&gradient.parameters);
         // Scaling the scene about the camera's centre changes no picture, so the scaling about the zoom's centre acts like the
         // displacement of one to the other.
-        let shift = self.center().as_dvec3() - center_of(drawn);
+        let shift = Vec3::from_array(state.center).as_dvec3() - center_of(drawn);
         let moved = shift.dot(DVec3::from_array(gradient.means.map(f64::from)));
         let own = f64::from(drawn.fx) * of_lens[0] + f64::from(drawn.fy) * of_lens[1] + moved;
-        let [change, first, second, count, ..] = self.state.map(f64::from);
-        let g = if own.abs() < 1e15 { own } else { 0.0 } + WEIGHT_DECAY * change;
-        let (mut first, mut second, count) = (first, second, count + 1.0);
-        let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(count));
-        let change = change - adam_on_host([&mut first, &mut second], g, bias, ZOOM_RATE * rate);
-        self.state[..4].copy_from_slice(&[change, first, second, count].map(|value| value as f32));
+        let log_factor = f64::from(state.log_factor);
+        let g = if own.abs() < 1e15 { own } else { 0.0 } + WEIGHT_DECAY * log_factor;
+        state.steps += 1.0;
+        let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(state.steps.into()));
+        let [mut first, mut second] = state.moments.map(f64::from);
+        let step = adam_on_host([&mut first, &mut second], g, bias, ZOOM_RATE * rate);
+        state.log_factor = (log_factor - step) as f32;
+        state.moments = [first, second].map(|moment| moment as f32);
     }
 }
 
@@ -180,22 +190,22 @@ impl LensOptimizer {
 
     /// Applies the zoom's last step to the scene and to the cameras of all views.
     pub fn zoom(&mut self, context: &Context, scene: &SceneBuffers, cameras: &mut [Camera]) -> Result<()> {
-        let [change, .., applied, _, _, _] = self.zoom.state;
-        if change == applied {
+        let ZoomState { log_factor, applied, center, .. } = self.zoom.state;
+        if log_factor == applied {
             return Ok(());
         }
-        self.zoom.state[4] = change;
+        self.zoom.state.applied = log_factor;
         let mut zoomed = cameras.to_vec();
         self.set_lenses(&mut zoomed);
         if zoomed.iter().any(|camera| camera.check().is_err()) {
             // The moments keep the new values, so that later steps may be smaller.
-            [self.zoom.state[0], self.zoom.state[4]] = [applied; 2];
+            self.zoom.state = ZoomState { log_factor: applied, applied, ..self.zoom.state };
             self.refused += 1;
             return Ok(());
         }
+        self.scaling.run(context, scene, center, f64::from(applied) - f64::from(log_factor))?;
         cameras.copy_from_slice(&zoomed);
-        let log_factor = f64::from(applied) - f64::from(change);
-        self.scaling.run(context, scene, self.zoom.center(), log_factor)
+        Ok(())
     }
 
     fn set_lenses(&self, cameras: &mut [Camera]) {

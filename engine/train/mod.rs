@@ -29,7 +29,7 @@ pub mod verify;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
 pub use checkpoint::{Capacities, Checkpoint, ExposureState, MomentState, PoseState};
-pub use lens_opt::{LENS_STATE_VALUES, LensState, ZOOM_STATE_VALUES};
+pub use lens_opt::{LENS_STATE_VALUES, LensState, ZoomState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};

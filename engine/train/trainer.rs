@@ -193,8 +193,11 @@ impl Trainer {
             cameras.iter_mut().for_each(|camera| *camera = with_own_lens(camera));
         }
         let lens_opt = match settings.lens_opt {
-            // Frozen Gaussians keep their size.
-            true => Some(LensOptimizer::new(context, &cameras, initial, frozen == 0)?),
+            true => {
+                // Frozen Gaussians and known depths determine the scene's size.
+                let scales = frozen == 0 && !recorder.base_settings().inverse_depth;
+                Some(LensOptimizer::new(context, &cameras, initial, scales)?)
+            }
             false => None,
         };
         let poses = Poses::new(context, &settings, &cameras, initial)?;
