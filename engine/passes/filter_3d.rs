@@ -1,5 +1,5 @@
 //! Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): convolves each Gaussian with a filter as large as the finest detail
-//! that the nearest camera resolves. A rolling shutter counts with its pose halfway.
+//! that the nearest camera resolves. A rolling shutter counts with its pose halfway, a lens that is optimised as it was given.
 //!
 //! The device stores a size as the fourth component of a Gaussian's log-scales; 0 is none. Culling, projection and the backward
 //! pass read it if [`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d) is set.

@@ -47,7 +47,7 @@ impl SceneScaling {
         Ok(Self { kernel: Kernel::new(context, &scale_scene::Spec { workgroup_size })?, sizes })
     }
 
-    /// Scales the means and scales of all Gaussians about `center` (world), immediately.
+    /// Multiplies means and scales of all Gaussians by a factor about `center` (world). Submits and waits.
     pub fn run(
         &self,
         context: &Context,

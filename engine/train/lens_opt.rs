@@ -5,11 +5,11 @@
 //! a lens without distortion, which learns distortion too.
 //!
 //! Photographs of a scene from about one distance hardly tell a longer focal length from a larger scene. Adam over both would
-//! need thousands of steps to find the small difference, so one more number ([`DollyZoom`]) changes both at once.
+//! need thousands of steps to find the small difference. [`DollyZoom`] is one parameter that changes both.
 
 use super::poses::mean_depth;
 use super::schedule::IterationPlan;
-use super::step::{LensGradients, LossValues};
+use super::step::{LensReadback, LossValues};
 use crate::error::{Error, Result};
 use crate::frame::SceneBuffers;
 use crate::passes::adam::{BETA_1, BETA_2};
@@ -32,7 +32,7 @@ pub struct LensState {
     /// One row per lens, in the order of the first views that have them: the changes of the focal lengths, the principal point and
     /// the coefficients, in the units of the optimiser; Adam's first and second moments of each; the number of steps.
     pub lenses: Vec<[f32; LENS_STATE_VALUES]>,
-    /// None in checkpoints of before there was a zoom.
+    /// None in checkpoints older than the zoom.
     pub zoom: Option<ZoomState>,
 }
 
@@ -46,7 +46,7 @@ pub struct ZoomState {
     pub moments: [f32; 2],
     /// Number of steps.
     pub steps: f32,
-    /// Logarithm of the factor that scene and cameras have already.
+    /// Logarithm of the factor that was applied to scene and cameras.
     pub applied: f32,
     /// Point about which the scene scales, world.
     pub center: [f32; 3],
@@ -57,15 +57,14 @@ pub(super) struct LensOptimizer {
     lenses: Vec<Lens>,
     /// Index of each view's lens.
     of_view: Vec<usize>,
-    zoom: DollyZoom,
+    dolly_zoom: DollyZoom,
     scaling: SceneScaling,
     /// Number of steps that were not made.
     pub refused: u32,
 }
 
 struct DollyZoom {
-    /// True if the scene may be scaled.
-    enabled: bool,
+    may_scale: bool,
     state: ZoomState,
 }
 
@@ -100,30 +99,30 @@ fn center_of(camera: &Camera) -> DVec3 {
 
 impl DollyZoom {
     /// Scales about the mean of the points that the cameras look at, at the mean depths of their views.
-    fn new(cameras: &[Camera], initial: &Gaussians, enabled: bool) -> Self {
+    fn new(cameras: &[Camera], initial: &Gaussians, may_scale: bool) -> Self {
         let looked_at = |camera: &Camera| {
             let depth = f64::from(mean_depth(camera, &initial.means));
             center_of(camera) + depth * camera.camera_from_world.transpose().z_axis.as_dvec3()
         };
         let center = cameras.iter().map(looked_at).sum::<DVec3>() / cameras.len() as f64;
         let state = ZoomState { center: center.as_vec3().to_array(), ..ZoomState::default() };
-        Self { enabled, state }
+        Self { may_scale, state }
     }
 
-    /// Factor of the focal lengths that scene and cameras have already.
+    /// Factor of the focal lengths that was applied to scene and cameras.
     fn factor(&self) -> f64 {
         f64::from(self.state.applied).exp()
     }
 
     /// Makes a step with the gradients of the lens of the camera that was drawn and of a displacement of the scene.
-    fn step(&mut self, drawn: &Camera, gradient: &LensGradients, rate: f64) {
-        if !self.enabled {
+    fn step(&mut self, drawn: &Camera, gradient: &LensReadback, rate: f64) {
+        if !self.may_scale {
             return;
         }
         let state = &mut self.state;
         let of_lens = drawn.lens_gradient(&gradient.parameters);
-        // Scaling the scene about the camera's centre changes no picture, so the scaling about the zoom's centre acts like the
-        // displacement of one to the other.
+        // Scaling the scene about the camera's centre changes no picture. Scaling about the zoom's centre therefore equals a
+        // displacement from the camera's centre to it. A rolling shutter, and a pose that is optimised too, count as given.
         let shift = Vec3::from_array(state.center).as_dvec3() - center_of(drawn);
         let moved = shift.dot(DVec3::from_array(gradient.means.map(f64::from)));
         let own = f64::from(drawn.fx) * of_lens[0] + f64::from(drawn.fy) * of_lens[1] + moved;
@@ -139,8 +138,8 @@ impl DollyZoom {
 }
 
 impl LensOptimizer {
-    /// Starts with the lenses of these cameras. `scales`: the scene may be scaled with the focal lengths.
-    pub fn new(context: &Context, cameras: &[Camera], initial: &Gaussians, scales: bool) -> Result<Self> {
+    /// Starts with the lenses of these cameras. `may_scale`: the scene may be scaled with the focal lengths.
+    pub fn new(context: &Context, cameras: &[Camera], initial: &Gaussians, may_scale: bool) -> Result<Self> {
         let mut lenses: Vec<Lens> = Vec::new();
         let of_view = cameras.iter().map(|camera| {
             lenses.iter().position(|lens| share_lens(&lens.given, camera)).unwrap_or_else(|| {
@@ -154,16 +153,23 @@ impl LensOptimizer {
         });
         let of_view = of_view.collect();
         // Panoramas have no focal lengths.
-        let zooms = cameras.iter().all(|camera| camera.projection != Projection::Equirectangular);
-        let zoom = DollyZoom::new(cameras, initial, scales && zooms);
-        Ok(Self { of_view, lenses, zoom, scaling: SceneScaling::new(context)?, refused: 0 })
+        let all_have = cameras.iter().all(|camera| camera.projection != Projection::Equirectangular);
+        let dolly_zoom = DollyZoom::new(cameras, initial, may_scale && all_have);
+        Ok(Self { of_view, lenses, dolly_zoom, scaling: SceneScaling::new(context)?, refused: 0 })
     }
 
-    /// The camera with its lens as it is now, if a training view was given with this lens.
+    /// The camera with its lens as it is now, if a training view was given with this lens, or else with the change of all focal
+    /// lengths.
     pub fn refined(&self, camera: &Camera) -> Camera {
-        let with_lens = with_own_lens(camera);
-        let lens = self.lenses.iter().find(|lens| share_lens(&lens.given, &with_lens));
-        lens.map_or(*camera, |lens| with_lens.with_lens_parameters(&lens.parameters(self.zoom.factor())))
+        let (with_lens, zoom) = (with_own_lens(camera), self.dolly_zoom.factor());
+        match self.lenses.iter().find(|lens| share_lens(&lens.given, &with_lens)) {
+            Some(lens) => with_lens.with_lens_parameters(&lens.parameters(zoom)),
+            None if camera.projection == Projection::Equirectangular => *camera,
+            None => {
+                let [fx, fy] = [camera.fx, camera.fy].map(|focal| (zoom * f64::from(focal)) as f32);
+                Camera { fx, fy, ..*camera }
+            }
+        }
     }
 
     /// Makes a step with the lens of a finished iteration's view, and sets it in all cameras of views that have it. A step after which
@@ -171,13 +177,13 @@ impl LensOptimizer {
     pub fn step(&mut self, cameras: &mut [Camera], plan: &IterationPlan, losses: &LossValues) {
         let IterationPlan { view, camera: drawn, lens_rate: rate, .. } = plan;
         let Some(gradient) = losses.lens.filter(|_| plan.work.optimizes && *rate > 0.0) else { return };
-        self.zoom.step(drawn, &gradient, *rate);
-        let factor = self.zoom.factor();
+        self.dolly_zoom.step(drawn, &gradient, *rate);
+        let zoom = self.dolly_zoom.factor();
         let of_view = self.of_view[*view];
         let lens = &mut self.lenses[of_view];
         let before = lens.state;
-        lens.step(drawn, &gradient.parameters, *rate);
-        let parameters = lens.parameters(factor);
+        lens.step(drawn, &gradient.parameters, zoom, *rate);
+        let parameters = lens.parameters(zoom);
         if cameras[*view].with_lens_parameters(&parameters).check().is_err() {
             // The moments keep the new values, so that later steps may be smaller.
             lens.state[..LENS_PARAMETERS].copy_from_slice(&before[..LENS_PARAMETERS]);
@@ -188,35 +194,48 @@ impl LensOptimizer {
         others.for_each(|(camera, _)| *camera = camera.with_lens_parameters(&parameters));
     }
 
-    /// Applies the zoom's last step to the scene and to the cameras of all views.
-    pub fn zoom(&mut self, context: &Context, scene: &SceneBuffers, cameras: &mut [Camera]) -> Result<()> {
-        let ZoomState { log_factor, applied, center, .. } = self.zoom.state;
+    /// Applies the zoom's last step to the scene and to the cameras of all views. A step after which a lens would fold the picture is
+    /// not made.
+    pub fn apply_zoom(
+        &mut self,
+        context: &Context,
+        scene: &SceneBuffers,
+        cameras: &mut [Camera],
+    ) -> Result<()> {
+        let ZoomState { log_factor, applied, center, .. } = self.dolly_zoom.state;
         if log_factor == applied {
             return Ok(());
         }
-        self.zoom.state.applied = log_factor;
-        let mut zoomed = cameras.to_vec();
-        self.set_lenses(&mut zoomed);
-        if zoomed.iter().any(|camera| camera.check().is_err()) {
+        let zoom = f64::from(log_factor).exp();
+        if self.check(zoom).is_err() {
             // The moments keep the new values, so that later steps may be smaller.
-            self.zoom.state = ZoomState { log_factor: applied, applied, ..self.zoom.state };
+            self.dolly_zoom.state.log_factor = applied;
             self.refused += 1;
             return Ok(());
         }
         self.scaling.run(context, scene, center, f64::from(applied) - f64::from(log_factor))?;
-        cameras.copy_from_slice(&zoomed);
+        self.dolly_zoom.state.applied = log_factor;
+        self.set_lenses(cameras);
         Ok(())
     }
 
+    /// Checks all lenses at a factor of the focal lengths.
+    fn check(&self, zoom: f64) -> Result<()> {
+        let mut lenses = self.lenses.iter();
+        lenses.try_for_each(|lens| lens.given.with_lens_parameters(&lens.parameters(zoom)).check())
+    }
+
     fn set_lenses(&self, cameras: &mut [Camera]) {
+        let zoom = self.dolly_zoom.factor();
+        let parameters: Vec<_> = self.lenses.iter().map(|lens| lens.parameters(zoom)).collect();
         for (camera, &lens) in cameras.iter_mut().zip(&self.of_view) {
-            *camera = camera.with_lens_parameters(&self.lenses[lens].parameters(self.zoom.factor()));
+            *camera = camera.with_lens_parameters(&parameters[lens]);
         }
     }
 
     pub fn state(&self) -> LensState {
         let lenses = self.lenses.iter().map(|lens| lens.state).collect();
-        LensState { lenses, zoom: Some(self.zoom.state) }
+        LensState { lenses, zoom: Some(self.dolly_zoom.state) }
     }
 
     pub fn restore(&mut self, cameras: &mut [Camera], from: &LensState) -> Result<()> {
@@ -225,7 +244,8 @@ impl LensOptimizer {
             return Err(Error::argument("checkpoint", format!("has {there} lenses, here are {here}")));
         }
         self.lenses.iter_mut().zip(&from.lenses).for_each(|(lens, state)| lens.state = *state);
-        self.zoom.state = from.zoom.unwrap_or(self.zoom.state);
+        self.dolly_zoom.state = from.zoom.unwrap_or(self.dolly_zoom.state);
+        self.check(self.dolly_zoom.factor())?;
         self.set_lenses(cameras);
         Ok(())
     }
@@ -244,11 +264,12 @@ impl Lens {
     }
 
     /// `gradient`: of the lens of the camera that was drawn, whose picture may be smaller.
-    fn step(&mut self, drawn: &Camera, gradient: &[f32; LENS_PARAMETERS], rate: f64) {
+    fn step(&mut self, drawn: &Camera, gradient: &[f32; LENS_PARAMETERS], zoom: f64, rate: f64) {
         let mut gradient = drawn.lens_gradient(gradient);
-        let parameters = self.parameters(1.0);
-        let shares = [drawn.fx / parameters[0], drawn.fy / parameters[1]].map(f64::from);
-        (0..4).for_each(|k| gradient[k] *= shares[k % 2]);
+        let parameters = self.parameters(zoom);
+        let reductions = [drawn.fx / parameters[0], drawn.fy / parameters[1]].map(f64::from);
+        (0..4).for_each(|k| gradient[k] *= reductions[k % 2]);
+        (0..2).for_each(|k| gradient[k] *= zoom);
         let state = &mut self.state;
         let count = f64::from(state[LENS_STATE_VALUES - 1]) + 1.0;
         state[LENS_STATE_VALUES - 1] = count as f32;

@@ -194,7 +194,9 @@ impl Trainer {
             } else {
                 self.state.done(first.after, PeakCounts::of_whole_frame(&first.plan, &self.run, &counts));
                 let losses = self.recorder.read_losses(&slot.losses)?;
-                if let Some(lenses) = &mut self.lens_opt {
+                if first.plan.lens_rate > 0.0
+                    && let Some(lenses) = &mut self.lens_opt
+                {
                     lenses.step(&mut self.run.cameras, &first.plan, &losses);
                     self.recorded.frame_is_ready = false;
                 }
@@ -252,7 +254,8 @@ impl Trainer {
         let gaussians = gaussians_with(self.state.model.scene.plan.capacity, frozen_capacity(&self.frozen));
         let fits = self.runner.store.capacity().gaussians >= gaussians;
         // The host moves the lens after each step.
-        let lens_is_due = self.lens_opt.is_some() && !recorded.in_flight.is_empty();
+        let moves_lens = |last: &InFlight| last.plan.lens_rate > 0.0;
+        let lens_is_due = self.lens_opt.is_some() && recorded.in_flight.back().is_some_and(moves_lens);
         Ok(!due.is_empty() || recorded.overflow.is_some() || !recorded.frame_is_ready || !fits || lens_is_due)
     }
 

@@ -470,8 +470,8 @@ impl Schedule {
     }
 }
 
-/// Rate of the lenses: 0 in the first third of the run, then constant, and from seven tenths on log-linear to a hundredth. Where the
-/// first scene does not cover the photographs yet, it pulls on the lenses.
+/// Rate of the lenses: 0 in the first third of the run, then constant, and from seven tenths on log-linear to a hundredth. Early
+/// scenes leave parts of photographs empty, which would distort the lenses.
 fn lens_rate(s: &TrainSettings, iteration: u32) -> f64 {
     let share = f64::from(iteration) / f64::from(s.iterations);
     let falls = ((share - 0.7) / 0.3).max(0.0);

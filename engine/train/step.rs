@@ -70,14 +70,14 @@ pub(super) struct LossValues {
     /// Per term: its name; its weighted value and further values.
     pub terms: Vec<(&'static str, [f32; 4])>,
     /// None unless lenses are optimised.
-    pub lens: Option<LensGradients>,
+    pub lens: Option<LensReadback>,
 }
 
-/// Gradients of a view's lens.
+/// Gradients with respect to a view's lens and to the scene's position.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-pub(super) struct LensGradients {
-    /// As [`LensGradient`] writes them.
+pub(super) struct LensReadback {
+    /// Focal lengths, principal point and the lens's words, before [`Camera::lens_gradient`].
     pub parameters: [f32; LENS_PARAMETERS],
     /// Sum over the gradients of all means, world.
     pub means: [f32; 3],
@@ -371,7 +371,7 @@ impl StepRecorder {
         let rows: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(losses);
         let terms: Vec<_> = self.terms().zip(rows).collect();
         let lens =
-            self.lens.as_ref().map(|_| bytemuck::pod_read_unaligned(&lens[..size_of::<LensGradients>()]));
+            self.lens.as_ref().map(|_| bytemuck::pod_read_unaligned(&lens[..size_of::<LensReadback>()]));
         Ok(LossValues { total: terms.iter().map(|(_, row)| row[0]).sum(), terms, lens })
     }
 }

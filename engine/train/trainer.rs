@@ -194,9 +194,9 @@ impl Trainer {
         }
         let lens_opt = match settings.lens_opt {
             true => {
-                // Frozen Gaussians and known depths determine the scene's size.
-                let scales = frozen == 0 && !recorder.base_settings().inverse_depth;
-                Some(LensOptimizer::new(context, &cameras, initial, scales)?)
+                // The neighbours of a block, and known depths, determine the scene's size.
+                let may_scale = block.is_none() && !recorder.base_settings().inverse_depth;
+                Some(LensOptimizer::new(context, &cameras, initial, may_scale)?)
             }
             false => None,
         };
@@ -530,7 +530,7 @@ impl Trainer {
     }
 
     /// The camera with its lens as [`lens_opt`](super::TrainSettings::lens_opt) has moved it, if a training view was given with the
-    /// same lens; otherwise the camera itself.
+    /// same lens; otherwise only the change that all focal lengths share.
     pub fn with_trained_lens(&self, camera: &Camera) -> Camera {
         self.lens_opt.as_ref().map_or(*camera, |lenses| lenses.refined(camera))
     }
@@ -553,7 +553,7 @@ impl Trainer {
     /// between steps the scene is what the reference would save.
     pub(super) fn catch_up(&mut self) -> Result<Changes> {
         if let Some(lenses) = &mut self.lens_opt {
-            lenses.zoom(&self.context, &self.state.model.scene, &mut self.run.cameras)?;
+            lenses.apply_zoom(&self.context, &self.state.model.scene, &mut self.run.cameras)?;
         }
         let mut done = Changes::default();
         loop {

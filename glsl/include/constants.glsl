@@ -47,8 +47,8 @@ const uint PROJECTION_EUCM = 5;
 const uint PROJECTION_FISHEYE = 6;
 const uint PROJECTION_THIN_PRISM_FISHEYE = 7;
 const uint PROJECTION_EQUIRECTANGULAR = 8;
-// Sums of a lens's gradient: of two focal lengths, the principal point and twelve words (lens_gradient.glsl), of the means (world), and
-// two that are always 0, so that they are vec3.
+// Sums of a lens's gradient: two focal lengths, the principal point, twelve words (lens_gradient.glsl), and the means (world). Two zeros
+// pad the sums to whole vec3.
 const uint LENS_SUMS = 21;
 #endif
 
