@@ -145,8 +145,8 @@ pub(super) fn check_view(PinholeView { camera, counts }: &PinholeView) -> Result
     }
 }
 
-/// Returns place and index of each block of which the pinhole may show a voxel, up to the truncation behind the largest depth: of those
-/// whose spheres meet its frustum. Spheres and frustum have a margin for what the device rounds.
+/// Returns place and index of each block whose bounding sphere meets the pinhole's frustum, which ends a truncation behind the largest
+/// depth. The view changes no voxel of other blocks: the margins of both exceed the device's rounding.
 pub(super) fn visible_blocks(
     places: &[[i32; 3]],
     settings: &FieldSettings,
