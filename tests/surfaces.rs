@@ -111,6 +111,22 @@ fn a_ball_becomes_a_closed_mesh() {
     assert_eq!((mesh.triangles.len(), mesh.positions.len()), (4, 4), "a tetrahedron has the ball's topology");
 }
 
+/// Blocks that lie across the border are in both halves, each of their voxels in one.
+#[test]
+fn halves_of_a_view_are_fused_like_the_whole() {
+    let _gpu = Gpu::new();
+    let mut renderer = renderer();
+    renderer.upload(&disks(Vec3::ZERO)).expect("a scene");
+    let whole = cameras()[0];
+    let halves = [0.0, 48.0].map(|left| Camera { cx: whole.cx - left, width: 48, ..whole });
+    let [expected, actual] = [&[whole][..], &halves].map(|cameras| {
+        let mesh = mesh_of(&mut renderer, FieldSettings::new(0.05, 10.0), cameras);
+        mesh.triangles.len()
+    });
+    // Pixels are rounded at the border.
+    assert!(expected > 1000 && expected.abs_diff(actual) < 10, "{actual} triangles, expected {expected}");
+}
+
 /// Cameras beside whose axes the ball lies, so that two faces of a cube show it.
 #[test]
 fn a_ball_through_lenses_becomes_a_closed_mesh() {

@@ -4,8 +4,9 @@ use super::pinholes::PinholeView;
 use crate::error::{Error, Result};
 use crate::kernels::constants::{FIELD_SIDE, FIELD_VOXELS, NO_BLOCK};
 use crate::render::Surface;
+use crate::scene::{Camera, NEAR_PLANE};
 use crate::vk::Context;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use std::collections::HashSet;
 
 /// Resolution and reach of a distance field.
@@ -142,4 +143,40 @@ pub(super) fn check_view(PinholeView { camera, counts }: &PinholeView) -> Result
         true => Ok(()),
         false => Err(Error::argument("counts", format!("has not {width}x{height} pixels"))),
     }
+}
+
+/// Returns place and index of each block whose bounding sphere meets the pinhole's frustum, which ends a truncation behind the largest
+/// depth. The view changes no voxel of other blocks: the margins of both exceed the device's rounding.
+pub(super) fn visible_blocks(
+    places: &[[i32; 3]],
+    settings: &FieldSettings,
+    camera: &Camera,
+) -> Vec<[i32; 4]> {
+    let FieldSettings { voxel, truncation, max_depth, .. } = *settings;
+    let [voxel, farthest] = [voxel, max_depth + truncation].map(f64::from);
+    let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(f64::from);
+    let [width, height] = [camera.width, camera.height].map(f64::from);
+    // The sides lie a pixel outside the picture.
+    let planes = [
+        (DVec3::new(fx, 0.0, cx + 1.0).normalize(), 0.0),
+        (DVec3::new(-fx, 0.0, width + 1.0 - cx).normalize(), 0.0),
+        (DVec3::new(0.0, fy, cy + 1.0).normalize(), 0.0),
+        (DVec3::new(0.0, -fy, height + 1.0 - cy).normalize(), 0.0),
+        (DVec3::Z, -f64::from(NEAR_PLANE)),
+        (DVec3::NEG_Z, farthest),
+    ];
+    let translation = camera.translation.as_dvec3();
+    let world_from_camera = camera.camera_from_world.transpose().as_dmat3();
+    let planes =
+        planes.map(|(normal, offset)| (world_from_camera * normal, normal.dot(translation) + offset));
+    let side = f64::from(FIELD_SIDE);
+    // The outermost voxels lie half a voxel within the block's sides.
+    let (middle, radius) = (DVec3::splat((side - 1.0) / 2.0), 3f64.sqrt() * side / 2.0);
+    let is_visible = |&[x, y, z]: &[i32; 3]| {
+        let center = voxel * (side * DVec3::new(x.into(), y.into(), z.into()) + middle);
+        let reach = voxel * radius + 1e-6 * (center.length() + translation.length());
+        planes.iter().all(|(normal, offset)| normal.dot(center) + offset >= -reach)
+    };
+    let indexed = places.iter().zip(0..).filter(|(place, _)| is_visible(place));
+    indexed.map(|(&[x, y, z], index)| [x, y, z, index]).collect()
 }

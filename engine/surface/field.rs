@@ -1,6 +1,6 @@
 //! A field of signed distances on the device.
 
-use super::blocks::{FieldBlocks, FieldSettings, check_view};
+use super::blocks::{FieldBlocks, FieldSettings, check_view, visible_blocks};
 use super::cubes::cube_cases;
 use super::mesh::Mesh;
 use super::pinholes::PinholeView;
@@ -22,6 +22,8 @@ buffer_set! {
     }
     /// Per block: its place.
     blocks as "field_blocks": blocks * 16;
+    /// Per block that a view shows: its place and index.
+    visible_blocks: blocks * 16;
     /// Per block: the eight blocks from it on.
     neighbours: blocks * 32;
     /// Per voxel: see field.glsl.
@@ -67,8 +69,9 @@ buffer_set! {
 pub struct DistanceField {
     context: Context,
     settings: FieldSettings,
+    places: Vec<[i32; 3]>,
     voxels: u32,
-    groups: u64,
+    workgroup_size: u32,
     buffers: FieldBuffers,
     scan: Scan,
     integrate: Kernel<integrate::Interface>,
@@ -91,8 +94,8 @@ impl DistanceField {
         let requests = FieldBuffers::requests(places.len() as u64, &scan);
         let buffers =
             FieldBuffers::from_allocated(context.allocate("field", &requests, MemoryKind::Device)?);
-        let places: Vec<[i32; 4]> = places.iter().map(|&[x, y, z]| [x, y, z, 0]).collect();
-        context.upload(&buffers.blocks, bytemuck::cast_slice(&places))?;
+        let words: Vec<[i32; 4]> = places.iter().map(|&[x, y, z]| [x, y, z, 0]).collect();
+        context.upload(&buffers.blocks, bytemuck::cast_slice(&words))?;
         context.upload(&buffers.neighbours, bytemuck::cast_slice(&neighbours))?;
         context.upload(&buffers.cubes, bytemuck::cast_slice(&cube_cases()))?;
         context.upload(&buffers.totals, bytemuck::cast_slice(&[voxels, 0]))?;
@@ -103,8 +106,9 @@ impl DistanceField {
         Ok(Self {
             context: context.clone(),
             settings: blocks.settings,
+            places,
             voxels,
-            groups: u64::from(voxels.div_ceil(workgroup_size)),
+            workgroup_size,
             buffers,
             scan,
             integrate: Kernel::new(context, &integrate::Spec { workgroup_size })?,
@@ -138,6 +142,9 @@ impl DistanceField {
                 .for_each(|(surface, _)| surface[3] = 0.0);
             self.context.upload(&frame.surfaces, bytemuck::cast_slice(&surfaces))?;
         }
+        let visible = visible_blocks(&self.places, &self.settings, camera);
+        let voxels = visible.len() as u32 * FIELD_VOXELS;
+        self.context.upload(&self.buffers.visible_blocks, bytemuck::cast_slice(&visible))?;
         let rows = camera.camera_from_world.transpose();
         let FieldSettings { voxel, truncation, max_depth, .. } = self.settings;
         let push = integrate::Push {
@@ -149,20 +156,21 @@ impl DistanceField {
             center_px: [camera.cx, camera.cy],
             image_width: camera.width,
             image_height: camera.height,
-            voxels: self.voxels,
+            voxels,
             voxel_size: voxel,
             truncation,
             max_depth,
         };
-        let FieldBuffers { blocks, distances, colors, .. } = &self.buffers;
+        let FieldBuffers { visible_blocks, distances, colors, .. } = &self.buffers;
         let bind = integrate::Bind {
-            blocks,
+            visible_blocks,
             surfaces: &frame.surfaces,
             accumulated: &frame.accumulated,
             distances,
             colors,
         };
-        let run = |r: &mut Recorder| r.dispatch(&self.integrate, &bind, &push, self.groups);
+        let groups = self.groups(voxels);
+        let run = |r: &mut Recorder| r.dispatch(&self.integrate, &bind, &push, groups);
         self.context.run("integrate", run).map(drop)
     }
 
@@ -174,6 +182,7 @@ impl DistanceField {
         let FieldBuffers { blocks, neighbours, distances, colors, counts, .. } = &self.buffers;
         let FieldBuffers { vertex_firsts, triangle_firsts, cubes, .. } = &self.buffers;
         let FieldSettings { voxel: voxel_size, least_views, .. } = self.settings;
+        let groups = self.groups(self.voxels);
         macro_rules! push {
             ($kernel:ident) => {
                 $kernel::Push { voxels: self.voxels, voxel_size, least_views }
@@ -181,11 +190,11 @@ impl DistanceField {
         }
         let vertices = self.scanned(vertex_firsts, |r| {
             let bind = count_vertices::Bind { neighbours, distances, counts };
-            r.dispatch(&self.count_vertices, &bind, &push!(count_vertices), self.groups);
+            r.dispatch(&self.count_vertices, &bind, &push!(count_vertices), groups);
         })?;
         let triangles = self.scanned(triangle_firsts, |r| {
             let bind = count_triangles::Bind { neighbours, distances, cubes, counts };
-            r.dispatch(&self.count_triangles, &bind, &push!(count_triangles), self.groups);
+            r.dispatch(&self.count_triangles, &bind, &push!(count_triangles), groups);
         })?;
         let requests =
             [("positions", vertices * 12), ("vertex_colors", vertices * 4), ("triangles", triangles * 12)];
@@ -200,7 +209,7 @@ impl DistanceField {
                 positions: &mesh[0],
                 vertex_colors: &mesh[1],
             };
-            r.dispatch(&self.place_vertices, &bind, &push!(place_vertices), self.groups);
+            r.dispatch(&self.place_vertices, &bind, &push!(place_vertices), groups);
             let bind = place_triangles::Bind {
                 neighbours,
                 distances,
@@ -209,7 +218,7 @@ impl DistanceField {
                 triangle_firsts,
                 triangles: &mesh[2],
             };
-            r.dispatch(&self.place_triangles, &bind, &push!(place_triangles), self.groups);
+            r.dispatch(&self.place_triangles, &bind, &push!(place_triangles), groups);
         })?;
         let colors: Vec<[u8; 4]> = self.read(&mesh[1], vertices)?;
         Ok(Mesh {
@@ -217,6 +226,10 @@ impl DistanceField {
             colors: colors.into_iter().map(|[r, g, b, _]| [r, g, b]).collect(),
             triangles: self.read(&mesh[2], triangles)?,
         })
+    }
+
+    fn groups(&self, voxels: u32) -> u64 {
+        voxels.div_ceil(self.workgroup_size).into()
     }
 
     /// Counts by `count`, writes the prefix sums, and returns the total.

@@ -4,8 +4,8 @@
 //   d <- (W d + w min(s, truncation)) / (W + w), W <- W + w, with w = the square of the voxel's size in pixels, because errors
 //   of depth grow with z. Colours likewise, from views with |s| <= truncation only.
 //
-// invocation: one voxel
-// in, PerPixel: surfaces (.w: depth, 0 for none), accumulated; blocks; in/out, per voxel: distances, colors
+// invocation: one voxel of a visible block
+// in, PerPixel: surfaces (.w: depth, 0 for none), accumulated; visible_blocks; in/out, per voxel: distances, colors
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -17,7 +17,8 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer Blocks { ivec4 blocks[]; };
+// Place and index of each block.
+layout(set = 0, binding = 0, scalar) readonly buffer VisibleBlocks { ivec4 visible_blocks[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Surfaces { vec4 surfaces[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
 // See field.glsl.
@@ -35,6 +36,7 @@ layout(push_constant, scalar) uniform Push {
     vec2 center_px;
     uint image_width;
     uint image_height;
+    // Of all visible blocks.
     uint voxels;
     // World units.
     float voxel_size;
@@ -49,12 +51,14 @@ layout(push_constant, scalar) uniform Push {
 const float LARGEST_HALF = 65504.0;
 
 void main() {
-    uint voxel = linear_invocation();
-    if (voxel >= voxels) {
+    uint invocation = linear_invocation();
+    if (invocation >= voxels) {
         return;
     }
+    ivec4 block = visible_blocks[invocation / FIELD_VOXELS];
+    uint voxel = uint(block.w) * FIELD_VOXELS + invocation % FIELD_VOXELS;
     uvec3 place = uvec3(voxel, voxel / FIELD_SIDE, voxel / (FIELD_SIDE * FIELD_SIDE)) % FIELD_SIDE;
-    vec3 point = voxel_size * vec3(blocks[voxel / FIELD_VOXELS].xyz * int(FIELD_SIDE) + ivec3(place));
+    vec3 point = voxel_size * vec3(block.xyz * int(FIELD_SIDE) + ivec3(place));
     vec3 at = vec3(dot(row_x, point), dot(row_y, point), dot(row_z, point)) + translation;
     vec2 pixel = focal_px * at.xy / at.z + center_px;
     vec2 size = vec2(image_width, image_height);

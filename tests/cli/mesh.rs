@@ -118,13 +118,19 @@ fn vertices(text: &str) -> Vec<Vec3> {
     text.lines().filter_map(|line| line.strip_prefix("v ")).map(vertex).collect()
 }
 
+/// A panorama orders Gaussians by distance, and so do the pinholes in its place.
 #[test]
 fn panoramas_are_meshed() {
     let place = TestFolder::empty();
     place.write_scene("ball.ply", &disks(Vec3::ZERO));
-    let views = "--orbit 12 --width 512 --camera-model EQUIRECTANGULAR";
-    place.run(format!("mesh @ball.ply -o @ball.obj {views} --voxel 0.06 --max-depth 10 --quiet")).ok();
-    let vertices = vertices(&place.read_text("ball.obj"));
+    let views = "--orbit 12 --width 512 --camera-model EQUIRECTANGULAR --voxel 0.06 --max-depth 10";
+    let mesh = |name: &str, order: &str| {
+        place.run(format!("mesh @ball.ply -o @{name} {views} {order} --quiet")).ok();
+        place.read_text(name)
+    };
+    let ball = mesh("ball.obj", "");
+    assert!(ball == mesh("ordered.obj", "--distance-order"), "the order of distances");
+    let vertices = vertices(&ball);
     assert!(vertices.len() > 1000 && vertices.iter().all(|at| (at.length() - 1.0).abs() < 0.15));
 }
 

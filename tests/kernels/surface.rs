@@ -54,8 +54,11 @@ fn integrate_equals_its_twin() {
     let mut random = Random::new(1);
     let distances = gpu.zeros::<[u32; 2]>("distances", 4 * VOXELS);
     let colors = gpu.zeros::<[u32; 2]>("colors", 4 * VOXELS);
-    let places: Vec<[i32; 4]> = blocks.iter().map(|&[x, y, z]| [x, y, z, 0]).collect();
-    let places = gpu.buffer("field_blocks", &places);
+    let visible = [3, 2, 1, 0].map(|index: usize| {
+        let [x, y, z]: [i32; 3] = blocks[index];
+        [x, y, z, index as i32]
+    });
+    let visible = gpu.buffer("visible_blocks", &visible);
     let (mut expected, mut unstable) = (vec![Voxel::default(); 4 * VOXELS], vec![false; 4 * VOXELS]);
     for shift in [0.0, 0.25, -0.5] {
         let view = small_view(size);
@@ -78,7 +81,7 @@ fn integrate_equals_its_twin() {
         let [row_x, row_y, row_z] = view.camera_from_world.map(|row| row.map(f));
         let spec = integrate::Spec { workgroup_size: gpu.workgroup(64) };
         let bind = integrate::Bind {
-            blocks: &places,
+            visible_blocks: &visible,
             surfaces: &gpu.buffer("surfaces", &surfaces),
             accumulated: &gpu.buffer("accumulated", &shown),
             distances: &distances,
