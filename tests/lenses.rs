@@ -384,7 +384,7 @@ fn lenses_are_found_again_on_a_scene_that_is_known() {
     };
     let steps = |views: Vec<TrainView>, scene: &Gaussians| {
         let settings = TrainSettings {
-            iterations: 600,
+            iterations: 1500,
             strategy: StrategyType::Fixed,
             lens_opt: true,
             lens_opt_lr: 5e-3,
@@ -393,7 +393,7 @@ fn lenses_are_found_again_on_a_scene_that_is_known() {
         };
         let settings = without_rates(settings);
         let mut trainer = Trainer::new(context(), views, scene, 2.0, settings).expect("a trainer");
-        trainer.steps(600);
+        trainer.steps(1500);
         // Lenses of no training view change with the scene's size only.
         let zoom = trainer.with_trained_lens(&Camera { width: 90, ..own[0] }).fx / own[0].fx;
         (trainer.cameras().expect("cameras"), zoom)
