@@ -102,12 +102,12 @@ fn a_ball_becomes_a_closed_mesh() {
     mesh.keep_parts(mesh.triangles.len() / 2);
     check_ball(&mesh);
     let mut coarse = mesh.clone();
-    coarse.simplify(500);
+    coarse.simplify(500, &mut || Ok(())).expect("no stop");
     assert!(mesh.triangles.len() > 5000 && coarse.triangles.len() == 500, "{}", coarse.triangles.len());
     check_ball(&coarse);
-    mesh.simplify(500);
+    mesh.simplify(500, &mut || Ok(())).expect("no stop");
     assert_eq!(mesh, coarse, "the same bits");
-    mesh.simplify(1);
+    mesh.simplify(1, &mut || Ok(())).expect("no stop");
     assert_eq!((mesh.triangles.len(), mesh.positions.len()), (4, 4), "a tetrahedron has the ball's topology");
 }
 
@@ -220,12 +220,24 @@ fn simplified_borders_and_edges_stay() {
         colors: vec![[9, 8, 7]; vertex(2 * side, side) as usize + 1],
         triangles: squares.flat_map(square).collect(),
     };
-    mesh.simplify(4);
+    mesh.simplify(4, &mut || Ok(())).expect("no stop");
     let mut found: Vec<[i32; 3]> =
         mesh.positions.iter().map(|at| at.map(|at| (10.0 * at).round() as i32)).collect();
     found.sort_unstable();
     let expected = [[0, 0, 0], [0, 80, 0], [80, 0, 0], [80, 0, 80], [80, 80, 0], [80, 80, 80]];
     assert_eq!((mesh.triangles.len(), &found[..], &mesh.colors[..]), (4, &expected[..], &[[9, 8, 7]; 6][..]));
+}
+
+#[test]
+fn simplified_meshes_keep_their_parts() {
+    let positions: Vec<[f32; 3]> =
+        (0..6).map(|i| [(i % 3) as f32, (i % 3 / 2) as f32, (i / 3) as f32]).collect();
+    let two = Mesh { positions, colors: vec![[9, 8, 7]; 6], triangles: vec![[0, 1, 2], [3, 4, 5]] };
+    let mut mesh = two.clone();
+    mesh.simplify(1, &mut || Ok(())).expect("no stop");
+    assert_eq!(mesh, two);
+    let stopped = mesh.simplify(1, &mut || Err(Error::Interrupted));
+    assert!(matches!(stopped, Err(Error::Interrupted)), "{stopped:?}");
 }
 
 /// Training with `surface` turns a ball's randomly oriented Gaussians to its surface and shrinks their shortest axes.

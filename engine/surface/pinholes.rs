@@ -16,7 +16,7 @@ const FACES: [[DVec3; 2]; 6] = [
 const STEPS: u32 = 128;
 /// Largest number of a face's pixels for a pixel of the lens: at a corner of the face.
 const STRETCH: f64 = 3.0;
-/// Place of what the photograph does not show.
+/// Marks a ray outside the photograph.
 const NOWHERE: u32 = u32::MAX;
 
 /// A pinhole's view of a part of a picture.
@@ -60,7 +60,7 @@ impl Pinholes {
             let place =
                 |ray: DVec3| is_shown(ray).and_then(|_| pixel_of(ray)).map_or(NOWHERE, |pixel| pixel as u32);
             for face in &mut faces {
-                face.places = Some(face.rays().map(place).collect());
+                face.places = Some(face.places_of(place));
             }
         }
         Self { lens: *lens, photograph: photograph.copied(), faces }
@@ -94,14 +94,26 @@ impl Face {
         Self { turn, intrinsics, places: None }
     }
 
-    /// Directions of the pixels in the lens's camera space.
-    fn rays(&self) -> impl Iterator<Item = DVec3> + use<> {
+    /// Per pixel: the place of its direction in the lens's camera space. Several threads share the work.
+    fn places_of(&self, place: impl Fn(DVec3) -> u32 + Copy + Send) -> Vec<u32> {
         let Intrinsics { fx, fy, cx, cy, width, height } = self.intrinsics;
         let [focal, center] = [[fx, fy], [cx, cy]].map(|pair| DVec2::from_array(pair.map(f64::from)));
         let lens_from_face = self.turn.transpose();
-        let pixels = (0..height).flat_map(move |y| (0..width).map(move |x| [x, y]));
-        let place = move |pixel: [u32; 2]| DVec2::from_array(pixel.map(|at| f64::from(at) + 0.5));
-        pixels.map(move |pixel| lens_from_face * ((place(pixel) - center) / focal).extend(1.0))
+        let ray_of = move |x: u32, y: u32| {
+            let at = DVec2::new(x.into(), y.into()) + 0.5;
+            lens_from_face * ((at - center) / focal).extend(1.0)
+        };
+        let mut places = vec![NOWHERE; width as usize * height as usize];
+        let threads = std::thread::available_parallelism().map_or(1, usize::from) as u32;
+        let rows = height.div_ceil(threads).max(1);
+        std::thread::scope(|scope| {
+            let parts = places.chunks_mut(rows as usize * width as usize);
+            for (part, first) in parts.zip((0..height).step_by(rows as usize)) {
+                let pixels = (first..height).flat_map(move |y| (0..width).map(move |x| ray_of(x, y)));
+                scope.spawn(move || part.iter_mut().zip(pixels).for_each(|(to, ray)| *to = place(ray)));
+            }
+        });
+        places
     }
 }
 

@@ -163,14 +163,17 @@ fn masks_hide_what_is_not_meshed() {
         mask.write_png(place.at("data/masks").join(photo_name(index))).expect("a mask");
     }
     let (masked, right) = mesh("masked.obj", "");
-    assert_says(&masked.stdout, &["9 photographs are read for their masks"]);
+    assert_says(&masked.stdout, &["masks of 9 photographs are applied"]);
     assert!(right < 0.25, "{right}");
     mesh("named.obj", "-s @data");
     assert_eq!(place.read("masked.obj"), place.read("named.obj"), "the same bytes");
     std::fs::rename(place.at("data"), place.at("gone")).expect("renamed");
     let (warned, right) = mesh("unmasked.obj", "");
     assert!(right > 0.45, "{right}");
-    assert_says(&warned.stderr, &["data cannot be read, so that no photograph's mask counts"]);
+    assert_says(&warned.stderr, &["data", "no mask is applied: name the data set with -s"]);
+    place.create_folder("data");
+    place.run("mesh @model -o @unread.obj").refused(&["data"]);
+    assert!(!place.has("unread.obj"));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `ashsplat mesh`.
 
-use crate::render::views;
-use ashsplat::scene::{Camera, WorldFrame};
+use crate::render::views::{self, Views};
+use ashsplat::scene::{Camera, PhotoLens, WorldFrame};
 use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, PinholeView, Pinholes};
 use ashsplat::{Error, RenderSettings, Renderer, Result, Surface, SurfaceDepth};
 use ashsplat_files::Gallery;
@@ -22,6 +22,8 @@ use std::sync::atomic::AtomicBool;
 ///
 /// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces are missing that fewer than a
 /// fifth of the views show (three of few views, six of thirty and more).
+///
+/// With a model's cameras.json, -s DATASET gives only the photographs' masks: the views are the model's.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -69,7 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let stop = session::stop_on_ctrl_c()?;
     let gallery = dataset(arguments, &model, &scene.frame, &stop)?;
     let views = arguments.views.choose(&model, &scene, gallery.as_ref(), None)?;
-    let photographed = Photographed::new(&views.cameras, gallery.as_ref())?;
+    let mut photographed = Photographed::new(&views, gallery.as_ref())?;
     let count = photographed.views.len();
     if count == 0 {
         let remedy = "give other views: --path FILE or --orbit N";
@@ -107,11 +109,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         })
     };
     let mut seen = Vec::new();
-    each(false, &mut |renderer, PinholeView { camera, .. }, settings| {
+    each(false, &mut |renderer, PinholeView { camera, counts }, settings| {
         // The medians of all views need no sharp pictures.
         let small = camera.scaled_to(camera.width.div_ceil(4), camera.height.div_ceil(4));
         let depths = surface_of(renderer, &small, settings)?.depth;
-        seen.extend(depths.into_iter().filter(|&depth| depth > 0.0).map(|depth| [depth, depth / camera.fx]));
+        let is_used = |pixel: usize| {
+            let [width, small_width] = [camera.width, small.width].map(|width| width as usize);
+            let (x, y) = (pixel % small_width, pixel / small_width);
+            let (x, y) = (x * width / small_width, y * camera.height as usize / small.height as usize);
+            counts.as_ref().is_none_or(|counts| counts[y * width + x])
+        };
+        let depths = depths.into_iter().enumerate().filter(|&(pixel, depth)| depth > 0.0 && is_used(pixel));
+        seen.extend(depths.map(|(_, depth)| [depth, depth / camera.fx]));
         Ok(())
     })?;
     if seen.is_empty() {
@@ -153,11 +162,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     session::check(&stop)?;
     if let Some(count) = arguments.triangles {
-        mesh.simplify(count as usize);
+        mesh.simplify(count as usize, &mut || session::check(&stop))?;
         let left = mesh.triangles.len();
         if left > count as usize {
             errln!(
-                "warning: --triangles: {} are left, since fewer would change the topology",
+                "warning: --triangles: {} triangles remain; no further edge can be collapsed without folding the surface or \
+                 changing its topology",
                 thousands(left as u64)
             );
         }
@@ -179,7 +189,7 @@ fn surface_of(renderer: &mut Renderer, camera: &Camera, settings: &RenderSetting
     Ok(renderer.render(camera, settings)?.surface.unwrap_or_default())
 }
 
-/// Opens the data set of which the views are, if there is one. That of the training may be gone.
+/// Opens the data set of the views' photographs, if there is one. That of the training may be gone.
 fn dataset(
     arguments: &Arguments,
     model: &Model,
@@ -191,55 +201,60 @@ fn dataset(
     if let Some(dataset) = &views.source_path {
         return open(dataset).map(Some);
     }
-    let is_known = views.are_of_training() && !trained.source_path.as_os_str().is_empty();
-    match is_known.then(|| open(&trained.source_path)) {
-        Some(Err(Error::Interrupted)) => Err(Error::Interrupted),
-        Some(Err(_)) => {
-            let dataset = trained.source_path.display();
-            errln!(
-                "warning: {dataset} cannot be read, so that no photograph's mask counts: name the data set with -s"
-            );
+    if !views.are_of_training() || trained.source_path.as_os_str().is_empty() {
+        return Ok(None);
+    }
+    match open(&trained.source_path) {
+        Err(error) if !trained.source_path.exists() => {
+            errln!("warning: {error}; no mask is applied: name the data set with -s");
             Ok(None)
         }
-        opened => opened.transpose(),
+        opened => opened.map(Some),
     }
 }
 
-/// A view, the place of its lens's pinholes, and its photograph's index if that may have a mask.
+/// A photograph that may have a mask.
+struct MaskedPhotograph {
+    /// Index in the data set.
+    index: usize,
+    /// Lens of the view, at the photograph's size.
+    lens: PhotoLens,
+}
+
 struct PhotographedView {
     camera: Camera,
-    pinholes: usize,
-    photograph: Option<usize>,
+    masked: Option<MaskedPhotograph>,
 }
 
 /// Views with their photographs' masks.
 struct Photographed<'a> {
     gallery: Option<&'a Gallery>,
-    pinholes: Vec<Pinholes>,
     views: Vec<PhotographedView>,
+    /// Pinholes of the view that was drawn last. The next one mostly has the same lens.
+    last: Option<Pinholes>,
 }
 
 impl<'a> Photographed<'a> {
     /// Finds the photographs by name. Leaves views with parallel rays out.
-    fn new(cameras: &[NamedCamera], gallery: Option<&'a Gallery>) -> Result<Self> {
+    fn new(views: &Views, gallery: Option<&'a Gallery>) -> Result<Self> {
         let known = gallery.map_or(Vec::new(), Gallery::cameras);
         let known: HashMap<&str, usize> =
             known.iter().enumerate().map(|(index, named)| (named.name.as_str(), index)).collect();
-        let used = gallery.map_or(Ok(Vec::new()), Gallery::used_cameras)?;
-        let mut all = Self { gallery, pinholes: Vec::new(), views: Vec::new() };
-        for NamedCamera { name, camera } in cameras.iter().filter(|named| !named.camera.is_orthographic()) {
-            let may_be_masked = |index: &usize| gallery.is_some_and(|gallery| gallery.may_be_masked(*index));
-            let photograph = known.get(name.as_str()).copied().filter(may_be_masked);
-            let lenses = (camera.photo_lens(), photograph.map(|index| used[index].photo_lens()));
-            let place =
-                all.pinholes.iter().position(|pinholes| pinholes.are_of(&lenses.0, lenses.1.as_ref()));
-            if place.is_none() {
-                all.pinholes.push(Pinholes::new(&lenses.0, lenses.1.as_ref()));
-            }
-            let pinholes = place.unwrap_or(all.pinholes.len() - 1);
-            all.views.push(PhotographedView { camera: *camera, pinholes, photograph });
-        }
-        Ok(all)
+        let given = gallery.map_or(Ok(Vec::new()), Gallery::used_cameras)?;
+        let photographed = |(index, NamedCamera { name, camera }): (usize, &NamedCamera)| {
+            let may_be_masked =
+                |photograph: &usize| gallery.is_some_and(|all| all.may_be_masked(*photograph));
+            let masked = known.get(name.as_str()).copied().filter(may_be_masked).map(|photograph| {
+                let given = given[photograph].photo_lens();
+                let own = views.lenses[index].scaled_to(given.width, given.height);
+                // Pinholes may have been trained on undistorted copies of the photographs.
+                let is_undistorted = given.projection.is_lens() && !own.projection.is_lens();
+                MaskedPhotograph { index: photograph, lens: if is_undistorted { given } else { own } }
+            });
+            PhotographedView { camera: *camera, masked }
+        };
+        let cameras = views.cameras.iter().enumerate().filter(|(_, named)| !named.camera.is_orthographic());
+        Ok(Self { gallery, views: cameras.map(photographed).collect(), last: None })
     }
 
     fn notes(&self) -> Vec<String> {
@@ -247,8 +262,8 @@ impl<'a> Photographed<'a> {
             self.views.iter().filter(|view| counts(view)).count()
         };
         let (masked, rolling) =
-            (count(&|view| view.photograph.is_some()), count(&|view| view.camera.shutter.is_some()));
-        let masks = format!("{masked} photographs are read for their masks, which hide what is not meshed");
+            (count(&|view| view.masked.is_some()), count(&|view| view.camera.shutter.is_some()));
+        let masks = format!("masks of {masked} photographs are applied");
         let poses = format!("{rolling} views with a rolling shutter are drawn from their pose halfway");
         [(masked, masks), (rolling, poses)]
             .into_iter()
@@ -257,11 +272,16 @@ impl<'a> Photographed<'a> {
     }
 
     /// The pinholes of a view, and the pixels that its mask lets count.
-    fn pinholes(&self, index: usize, masked: bool) -> Result<Vec<PinholeView>> {
-        let view = &self.views[index];
-        let photograph = self.gallery.zip(view.photograph.filter(|_| masked));
-        let photograph = photograph.and_then(|(gallery, index)| gallery.view(index)).transpose()?;
+    fn pinholes(&mut self, index: usize, masked: bool) -> Result<Vec<PinholeView>> {
+        let PhotographedView { camera, masked: photograph } = &self.views[index];
+        let lenses = (camera.photo_lens(), photograph.as_ref().map(|photograph| photograph.lens));
+        let known = self.last.take().filter(|pinholes| pinholes.are_of(&lenses.0, lenses.1.as_ref()));
+        let pinholes = known.unwrap_or_else(|| Pinholes::new(&lenses.0, lenses.1.as_ref()));
+        let pinholes = self.last.insert(pinholes);
+        let photograph = self.gallery.zip(photograph.as_ref().filter(|_| masked));
+        let photograph =
+            photograph.and_then(|(gallery, photograph)| gallery.view(photograph.index)).transpose()?;
         let mask = photograph.map(|view| view.photo.mask()).transpose()?.flatten();
-        Ok(self.pinholes[view.pinholes].views(&view.camera, mask.as_deref()))
+        Ok(pinholes.views(camera, mask.as_deref()))
     }
 }

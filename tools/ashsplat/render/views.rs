@@ -1,6 +1,6 @@
 //! Chooses the views that `ashsplat render` renders.
 
-use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
+use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, PhotoLens, WorldFrame, tour};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use ashsplat_files::cameras_json::{self, NamedCamera};
@@ -90,6 +90,8 @@ pub struct SizeArguments {
 /// The views to render.
 pub struct Views {
     pub cameras: Vec<NamedCamera>,
+    /// Lens of each photograph, which the arguments may have replaced in its camera; empty for orbits.
+    pub lenses: Vec<PhotoLens>,
     /// A note on the choice of views.
     pub note: Option<String>,
 }
@@ -123,7 +125,7 @@ impl Arguments {
         })
     }
 
-    /// Chooses the views. `gallery` is the data set of the arguments, if it is open already.
+    /// Chooses the views. `gallery` is the data set, if it is open already: a model with cameras of its own takes only masks from it.
     pub fn choose(
         &self,
         model: &Model,
@@ -140,11 +142,13 @@ impl Arguments {
             return Err(Error::argument("--up", "is for orbits (--orbit N): these cameras have their own"));
         }
         let mut cameras = match (&self.source_path, &self.path, own) {
-            (Some(_), _, _) if let Some(gallery) = gallery => gallery.cameras(),
-            (Some(dataset), _, _) => session::cameras(dataset, &model.settings.data, &scene.frame)?,
-            (None, Some(path), _) => self.along(path, &scene.frame)?,
-            (None, None, Some(path)) => cameras_json::read(path, &scene.frame)?,
-            (None, None, None) => {
+            (Some(dataset), _, _) if gallery.is_none() => {
+                session::cameras(dataset, &model.settings.data, &scene.frame)?
+            }
+            (_, Some(path), _) => self.along(path, &scene.frame)?,
+            (_, None, Some(path)) => cameras_json::read(path, &scene.frame)?,
+            (Some(_), None, None) if let Some(gallery) = gallery => gallery.cameras(),
+            (_, None, None) => {
                 return Err(Error::input(
                     &model.ply,
                     "has no cameras beside it",
@@ -157,6 +161,7 @@ impl Arguments {
             return Err(Error::input(place, "has no cameras", "give one with a view at least"));
         }
         let note = self.widening(&cameras);
+        let lenses = cameras.iter().map(|named| named.camera.photo_lens()).collect();
         for named in &mut cameras {
             named.camera = self.size.applied_to(&named.camera)?;
         }
@@ -166,7 +171,7 @@ impl Arguments {
             let problem = format!("the views of a film have one size: {w}x{h} and {x}x{y} ({})", other.name);
             return Err(Error::argument("--out", format!("{problem}; give --width and --height")));
         }
-        Ok(Views { cameras, note })
+        Ok(Views { cameras, lenses, note })
     }
 
     /// A note if pictures of another aspect show more than their cameras.
@@ -261,7 +266,7 @@ impl Arguments {
         // A requested motion needs no reason.
         let note = note.filter(|_| self.motion.is_none()).map(str::to_owned);
         let cameras = cameras.iter().map(|camera| self.size.through_lens(*camera)).collect::<Result<_>>()?;
-        Ok(Views { cameras: named(cameras, "orbit")?, note })
+        Ok(Views { cameras: named(cameras, "orbit")?, lenses: Vec::new(), note })
     }
 }
 

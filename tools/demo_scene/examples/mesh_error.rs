@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Points on the triangles of an OBJ, evenly spread: one for each square of this side.
 fn points_of(text: &str, spacing: f32) -> Result<Vec<Vec3>, Box<dyn Error>> {
-    let (mut vertices, mut points, mut owed) = (Vec::new(), Vec::new(), 0.0);
+    let (mut vertices, mut points, mut owed) = (Vec::new(), Vec::new(), 0.0_f64);
     for line in text.lines() {
         let mut words = line.split_ascii_whitespace();
         match words.next() {
@@ -83,11 +83,17 @@ fn points_of(text: &str, spacing: f32) -> Result<Vec<Vec3>, Box<dyn Error>> {
                 vertices.push(Vec3::new(next()?, next()?, next()?));
             }
             Some("f") => {
-                let corner =
-                    |word: &str| Ok(vertices[word.split('/').next().unwrap_or("").parse::<usize>()? - 1]);
-                let corners: Result<Vec<Vec3>, Box<dyn Error>> = words.map(corner).collect();
-                let &[a, b, c] = &corners?[..] else { return Err("a face is no triangle".into()) };
-                owed += 0.5 * (b - a).cross(c - a).length() / (spacing * spacing);
+                let corner = |word: &str| {
+                    let index = word.split('/').next()?.parse::<usize>().ok()?;
+                    vertices.get(index.checked_sub(1)?).copied()
+                };
+                let corners: Option<Vec<Vec3>> = words.map(corner).collect();
+                let Some(&[a, b, c]) = corners.as_deref() else {
+                    return Err(
+                        format!("`{line}` is no triangle of {} vertices before it", vertices.len()).into()
+                    );
+                };
+                owed += f64::from(0.5 * (b - a).cross(c - a).length() / (spacing * spacing));
                 while owed >= 1.0 {
                     owed -= 1.0;
                     // Additive recurrence of the plastic number, folded into the triangle.
