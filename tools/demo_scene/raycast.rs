@@ -102,8 +102,16 @@ pub fn first_hit<'a>(scene: &'a Scene, ray: &Ray) -> Option<Hit<'a>> {
     hits.min_by(|a, b| a.distance.total_cmp(&b.distance))
 }
 
+impl Scene {
+    /// Distance of a point from the nearest surface.
+    pub fn distance(&self, point: Vec3) -> f32 {
+        let distances = self.objects.iter().map(|object| distance(&object.shape, point));
+        distances.fold(f32::INFINITY, f32::min)
+    }
+}
+
 /// Distance of a point from a shape's surface.
-pub(crate) fn distance(shape: &Shape, point: Vec3) -> f32 {
+fn distance(shape: &Shape, point: Vec3) -> f32 {
     let at = local_position(shape, point);
     let signed = match shape {
         Shape::Sphere { radius, .. } => at.length() - radius,

@@ -18,7 +18,6 @@
 //!
 //! So a missing or wrong part shows, and 28 dB are out of reach without the larger parts.
 
-use crate::raycast;
 use glam::{Mat3, Vec3, vec3};
 
 /// A solid shape in world coordinates.
@@ -91,12 +90,6 @@ impl Scene {
 
     pub(crate) fn in_sunlight(objects: Vec<Object>) -> Scene {
         Scene { objects, to_sun: vec3(0.45, -0.5, 0.74).normalize(), sun: vec3(1.05, 0.98, 0.86) }
-    }
-
-    /// Distance of a point from the nearest surface.
-    pub fn distance(&self, point: Vec3) -> f32 {
-        let distances = self.objects.iter().map(|object| raycast::distance(&object.shape, point));
-        distances.fold(f32::INFINITY, f32::min)
     }
 
     /// Colour of the sky in a direction, linear: a gradient from the horizon up, with broad clouds.
