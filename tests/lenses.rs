@@ -185,7 +185,7 @@ fn photographs_are_learned_through_their_lenses() {
     assert_says(refused, &["surface", "pinholes", "--undistort"]);
     let moved =
         TrainSettings { iterations: 20, pose_opt: true, lens_opt: true, densify_until_iter: 19, ..settings };
-    // With the panorama the scene is not scaled.
+    // The scene is scaled only if no view is a panorama.
     for views in [&views[..3], &views[..]] {
         Run::shared(views.to_vec(), moved.clone()).starting_at(&start).check_stops(&[&[9]]);
     }

@@ -684,24 +684,26 @@ impl PhotoLens {
 
     /// True if the picture shows a point in camera space.
     pub fn shows(&self, at: DVec3) -> bool {
-        let inside = |position: DVec2| {
-            let size = dvec2(self.width.into(), self.height.into());
-            position.cmpge(DVec2::ZERO).all() && position.cmplt(size).all()
-        };
         // Most points are far outside: looking for folds is expensive.
-        self.place(at).is_some_and(|place| inside(self.position_of(place)) && self.is_sound_up_to(place))
+        let is_shown = |place| self.contains(self.position_of(place)) && self.is_sound_up_to(place);
+        self.place(at).is_some_and(is_shown)
+    }
+
+    /// True for a position within the picture.
+    fn contains(&self, position: DVec2) -> bool {
+        let size = dvec2(self.width.into(), self.height.into());
+        position.cmpge(DVec2::ZERO).all() && position.cmplt(size).all()
     }
 
     /// Gives the index of the pixel that shows a point in camera space, by rows. None if the picture does not show it. Looks for the
     /// lens's fold only once.
     pub fn pixels(&self) -> impl Fn(DVec3) -> Option<usize> + use<> {
-        let (lens, size) = (*self, dvec2(self.width.into(), self.height.into()));
+        let lens = *self;
         let widest = if self.projection.has_seam() { f64::INFINITY } else { self.widest() };
         move |at| {
             let place = lens.place(at).filter(|place| place.length() < widest)?;
             let position = lens.position_of(place);
-            let inside = position.cmpge(DVec2::ZERO).all() && position.cmplt(size).all();
-            inside.then(|| position.y as usize * lens.width as usize + position.x as usize)
+            lens.contains(position).then(|| position.y as usize * lens.width as usize + position.x as usize)
         }
     }
 

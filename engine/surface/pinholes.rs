@@ -28,7 +28,7 @@ pub struct PinholeView {
     pub counts: Option<Vec<bool>>,
 }
 
-/// Pinholes that together show what a lens shows: faces of a cube, each cut to what the lens shows there. A pinhole is its own.
+/// Pinholes that together show what a lens shows: faces of a cube, each cut to what the lens shows there. A pinhole gives itself.
 /// [`RenderSettings::distance_order`](crate::RenderSettings::distance_order) draws them in the order in which fisheyes and panoramas
 /// have trained a scene.
 #[derive(Clone, Debug, PartialEq)]

@@ -58,13 +58,13 @@ pub(super) struct LensOptimizer {
     /// Index of each view's lens.
     of_view: Vec<usize>,
     dolly_zoom: DollyZoom,
-    scaling: SceneScaling,
     /// Number of steps that were not made.
     pub refused: u32,
 }
 
 struct DollyZoom {
-    may_scale: bool,
+    /// None if the scene keeps its size.
+    scaling: Option<SceneScaling>,
     state: ZoomState,
 }
 
@@ -97,16 +97,29 @@ fn center_of(camera: &Camera) -> DVec3 {
     -(camera.camera_from_world.transpose() * camera.translation).as_dvec3()
 }
 
+/// Returns a change and Adam's moments of it after a step. A gradient that is not finite, or huge, counts as 0. `count`: number of
+/// steps with this one.
+fn adam_step([change, first, second]: [f32; 3], gradient: f64, count: f64, rate: f64) -> [f32; 3] {
+    let [change, mut first, mut second] = [change, first, second].map(f64::from);
+    let g = if gradient.abs() < 1e15 { gradient } else { 0.0 } + WEIGHT_DECAY * change;
+    let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(count));
+    let change = change - adam_on_host([&mut first, &mut second], g, bias, rate);
+    [change, first, second].map(|value| value as f32)
+}
+
 impl DollyZoom {
     /// Scales about the mean of the points that the cameras look at, at the mean depths of their views.
-    fn new(cameras: &[Camera], initial: &Gaussians, may_scale: bool) -> Self {
+    fn new(context: &Context, cameras: &[Camera], initial: &Gaussians, may_scale: bool) -> Result<Self> {
+        if !may_scale {
+            return Ok(Self { scaling: None, state: ZoomState::default() });
+        }
         let looked_at = |camera: &Camera| {
             let depth = f64::from(mean_depth(camera, &initial.means));
             center_of(camera) + depth * camera.camera_from_world.transpose().z_axis.as_dvec3()
         };
         let center = cameras.iter().map(looked_at).sum::<DVec3>() / cameras.len() as f64;
         let state = ZoomState { center: center.as_vec3().to_array(), ..ZoomState::default() };
-        Self { may_scale, state }
+        Ok(Self { scaling: Some(SceneScaling::new(context)?), state })
     }
 
     /// Factor of the focal lengths that was applied to scene and cameras.
@@ -116,7 +129,7 @@ impl DollyZoom {
 
     /// Makes a step with the gradients of the lens of the camera that was drawn and of a displacement of the scene.
     fn step(&mut self, drawn: &Camera, gradient: &LensReadback, rate: f64) {
-        if !self.may_scale {
+        if self.scaling.is_none() {
             return;
         }
         let state = &mut self.state;
@@ -126,14 +139,11 @@ impl DollyZoom {
         let shift = Vec3::from_array(state.center).as_dvec3() - center_of(drawn);
         let moved = shift.dot(DVec3::from_array(gradient.means.map(f64::from)));
         let own = f64::from(drawn.fx) * of_lens[0] + f64::from(drawn.fy) * of_lens[1] + moved;
-        let log_factor = f64::from(state.log_factor);
-        let g = if own.abs() < 1e15 { own } else { 0.0 } + WEIGHT_DECAY * log_factor;
         state.steps += 1.0;
-        let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(state.steps.into()));
-        let [mut first, mut second] = state.moments.map(f64::from);
-        let step = adam_on_host([&mut first, &mut second], g, bias, ZOOM_RATE * rate);
-        state.log_factor = (log_factor - step) as f32;
-        state.moments = [first, second].map(|moment| moment as f32);
+        let [first, second] = state.moments;
+        let values = [state.log_factor, first, second];
+        let [log_factor, first, second] = adam_step(values, own, state.steps.into(), ZOOM_RATE * rate);
+        (state.log_factor, state.moments) = (log_factor, [first, second]);
     }
 }
 
@@ -154,8 +164,8 @@ impl LensOptimizer {
         let of_view = of_view.collect();
         // Panoramas have no focal lengths.
         let all_have = cameras.iter().all(|camera| camera.projection != Projection::Equirectangular);
-        let dolly_zoom = DollyZoom::new(cameras, initial, may_scale && all_have);
-        Ok(Self { of_view, lenses, dolly_zoom, scaling: SceneScaling::new(context)?, refused: 0 })
+        let dolly_zoom = DollyZoom::new(context, cameras, initial, may_scale && all_have)?;
+        Ok(Self { of_view, lenses, dolly_zoom, refused: 0 })
     }
 
     /// The camera with its lens as it is now, if a training view was given with this lens, or else with the change of all focal
@@ -203,9 +213,9 @@ impl LensOptimizer {
         cameras: &mut [Camera],
     ) -> Result<()> {
         let ZoomState { log_factor, applied, center, .. } = self.dolly_zoom.state;
-        if log_factor == applied {
+        let Some(scaling) = self.dolly_zoom.scaling.as_ref().filter(|_| log_factor != applied) else {
             return Ok(());
-        }
+        };
         let zoom = f64::from(log_factor).exp();
         if self.check(zoom).is_err() {
             // The moments keep the new values, so that later steps may be smaller.
@@ -213,7 +223,7 @@ impl LensOptimizer {
             self.refused += 1;
             return Ok(());
         }
-        self.scaling.run(context, scene, center, f64::from(applied) - f64::from(log_factor))?;
+        scaling.run(context, scene, center, f64::from(applied) - f64::from(log_factor))?;
         self.dolly_zoom.state.applied = log_factor;
         self.set_lenses(cameras);
         Ok(())
@@ -273,17 +283,12 @@ impl Lens {
         let state = &mut self.state;
         let count = f64::from(state[LENS_STATE_VALUES - 1]) + 1.0;
         state[LENS_STATE_VALUES - 1] = count as f32;
-        let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(count));
         for k in 0..LENS_PARAMETERS {
-            let [change, mut first, mut second] =
-                [0, 1, 2].map(|set| f64::from(state[set * LENS_PARAMETERS + k]));
+            let places = [0, 1, 2].map(|set| set * LENS_PARAMETERS + k);
             let own: f64 =
                 gradient.iter().zip(&self.units).map(|(gradient, units)| gradient * units[k]).sum();
-            let g = if own.abs() < 1e15 { own } else { 0.0 } + WEIGHT_DECAY * change;
-            let change = change - adam_on_host([&mut first, &mut second], g, bias, rate);
-            for (set, value) in [change, first, second].into_iter().enumerate() {
-                state[set * LENS_PARAMETERS + k] = value as f32;
-            }
+            let stepped = adam_step(places.map(|place| state[place]), own, count, rate);
+            places.into_iter().zip(stepped).for_each(|(place, value)| state[place] = value);
         }
     }
 }

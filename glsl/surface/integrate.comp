@@ -36,7 +36,7 @@ layout(push_constant, scalar) uniform Push {
     vec2 center_px;
     uint image_width;
     uint image_height;
-    // Of all visible blocks.
+    // Number of voxels in the visible blocks.
     uint voxels;
     // World units.
     float voxel_size;

@@ -135,8 +135,10 @@ fn blocks_are_trained_one_by_one_and_merged() {
     for (status, block) in all.iter().zip(blocks) {
         assert_eq!((&status["state"], &status["iteration"]), (&"trained".into(), &block["iterations"]));
         assert_eq!(status["iterations"], block["iterations"]);
-        let measured = ["gaussians", "psnr", "iterations_per_second", "peak_bytes"];
-        assert!(measured.iter().all(|name| status[name].as_f64() > Some(0.0)), "{status}");
+        let measured = ["gaussians", "psnr", "peak_bytes"];
+        assert!(measured.iter().all(|name| status[name].as_f64() > Some(1.0)), "{status}");
+        // A busy machine may need more than a second for an iteration.
+        assert!(status["iterations_per_second"].as_f64() > Some(0.0), "{status}");
         assert!(status["trainer"].is_null());
         let pixels = number(block, "pixels");
         assert_eq!(pixels, pixels_of(block));

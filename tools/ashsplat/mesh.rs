@@ -23,7 +23,7 @@ use std::sync::atomic::AtomicBool;
 /// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces are missing that fewer than a
 /// fifth of the views show (three of few views, six of thirty and more).
 ///
-/// With a model's cameras.json, -s DATASET gives only the photographs' masks: the views are the model's.
+/// If the model has a cameras.json, -s DATASET supplies only the photographs' masks, and the views stay the model's.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
