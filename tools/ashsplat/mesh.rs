@@ -80,6 +80,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if count < views.cameras.len() {
         errln!("warning: {} views with parallel rays are left out", views.cameras.len() - count);
     }
+    if photographed.strangers > 0 {
+        errln!(
+            "warning: {} of {count} views are named like no photograph of the data set, so that its masks do not hide anything there",
+            photographed.strangers
+        );
+    }
     let [few, many] = MIN_VIEWS;
     let least_views = (count as u32 / 5).clamp(few, many);
     if count < few as usize {
@@ -230,6 +236,8 @@ struct PhotographedView {
 struct Photographed<'a> {
     gallery: Option<&'a Gallery>,
     views: Vec<PhotographedView>,
+    /// Number of views that the data set has no photograph of.
+    strangers: usize,
     /// Pinholes of the view that was drawn last. The next one mostly has the same lens.
     last: Option<Pinholes>,
 }
@@ -253,8 +261,11 @@ impl<'a> Photographed<'a> {
             });
             PhotographedView { camera: *camera, masked }
         };
-        let cameras = views.cameras.iter().enumerate().filter(|(_, named)| !named.camera.is_orthographic());
-        Ok(Self { gallery, views: cameras.map(photographed).collect(), last: None })
+        let cameras =
+            || views.cameras.iter().enumerate().filter(|(_, named)| !named.camera.is_orthographic());
+        let is_stranger = |named: &NamedCamera| gallery.is_some() && !known.contains_key(named.name.as_str());
+        let strangers = cameras().filter(|(_, named)| is_stranger(named)).count();
+        Ok(Self { gallery, views: cameras().map(photographed).collect(), strangers, last: None })
     }
 
     fn notes(&self) -> Vec<String> {

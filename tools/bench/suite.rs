@@ -57,6 +57,8 @@ struct Suite {
     /// Options of `train` for all runs.
     #[serde(default)]
     options: Vec<String>,
+    /// Source of the scenes' published rows.
+    published: Option<String>,
     #[serde(rename = "scene")]
     scenes: Vec<Scene>,
     #[serde(rename = "recipe")]
@@ -92,6 +94,8 @@ struct Scene {
     near: Option<String>,
     /// The time until training first reaches this PSNR is measured, dB.
     until: Option<f64>,
+    /// Others' PSNR, SSIM and LPIPS (VGG) by the same protocol.
+    published: Option<[f64; 3]>,
 }
 
 fn stored_size() -> i32 {
@@ -266,37 +270,45 @@ impl Suite {
                 }
             });
         }
+        // Columns of runs, by scene.
+        let mut tables: Vec<(String, Vec<Vec<[f64; 6]>>)> = Vec::new();
         for (by, recipe) in self.recipes.iter().enumerate() {
-            text += &format!("\nRecipe {}\n\n", recipe.name);
+            let runs_of = |at| self.seeds.iter().map(move |&seed| runs[&(at, by, seed)].columns()).collect();
+            tables.push((format!("Recipe {}", recipe.name), scenes().map(runs_of).collect()));
+        }
+        if let Some(source) = &self.published {
+            let columns = |[psnr, ssim, lpips]: [f64; 3]| [psnr, ssim, lpips, f64::NAN, f64::NAN, f64::NAN];
+            let published =
+                self.scenes.iter().map(|scene| scene.published.map(columns).into_iter().collect());
+            tables.push((format!("Published: {source}"), published.collect()));
+        }
+        for (title, of_scenes) in tables {
+            text += &format!("\n{title}\n\n");
             let heads = ["scene", "PSNR", "SSIM", "LPIPS (VGG)", "CC-PSNR", "Gaussians", "minutes"];
             text += &row(heads.into_iter().map(String::from));
             text += &row(heads.into_iter().map(|_| "---".to_owned()));
-            let line = |name: &str, scenes: std::ops::Range<usize>| {
-                let is_scene = scenes.len() == 1;
-                let runs: Vec<[f64; 6]> = scenes
-                    .flat_map(|at| self.seeds.iter().map(move |&seed| (at, by, seed)))
-                    .map(|key| runs[&key].columns())
-                    .collect();
-                let cell = |(column, digits): (usize, usize)| {
-                    let values = || runs.iter().map(|columns| columns[column]);
-                    let mean = values().sum::<f64>() / runs.len() as f64;
-                    let [low, high] = [values().fold(mean, f64::min), values().fold(mean, f64::max)];
-                    match column == 0 && is_scene && low < high {
-                        true => format!("{mean:.digits$} ({low:.digits$} to {high:.digits$})"),
-                        false if mean.is_nan() => "–".to_owned(),
-                        false => format!("{mean:.digits$}"),
-                    }
-                };
-                row(std::iter::once(name.to_owned())
-                    .chain([2, 4, 4, 2, 0, 1].into_iter().enumerate().map(cell)))
-            };
-            for (at, scene) in self.scenes.iter().enumerate() {
-                text += &line(&scene.name, at..at + 1);
+            for (scene, of_scene) in self.scenes.iter().zip(&of_scenes) {
+                text += &quality_row(&scene.name, of_scene, true);
             }
-            text += &line("**mean**", scenes());
+            text += &quality_row("**mean**", &of_scenes.concat(), false);
         }
         text
     }
+}
+
+/// Means over runs. `ranged`: PSNR with its least and most, where they differ.
+fn quality_row(name: &str, runs: &[[f64; 6]], ranged: bool) -> String {
+    let cell = |(column, digits): (usize, usize)| {
+        let values = || runs.iter().map(|columns| columns[column]);
+        let mean = values().sum::<f64>() / runs.len() as f64;
+        let [low, high] = [values().fold(mean, f64::min), values().fold(mean, f64::max)];
+        match column == 0 && ranged && low < high {
+            true => format!("{mean:.digits$} ({low:.digits$} to {high:.digits$})"),
+            false if mean.is_nan() => "–".to_owned(),
+            false => format!("{mean:.digits$}"),
+        }
+    };
+    row(std::iter::once(name.to_owned()).chain([2, 4, 4, 2, 0, 1].into_iter().enumerate().map(cell)))
 }
 
 fn row(cells: impl Iterator<Item = String>) -> String {

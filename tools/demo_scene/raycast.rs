@@ -20,7 +20,7 @@ pub struct Hit<'a> {
     /// Distance from the ray's origin.
     pub distance: f32,
     /// Outward normal, of unit length.
-    normal: Vec3,
+    pub normal: Vec3,
     object: &'a Object,
 }
 
