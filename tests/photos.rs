@@ -44,7 +44,7 @@ fn views() -> Vec<TrainView> {
 }
 
 fn is_hidden(view: usize, pixel: usize) -> bool {
-    (pixel / 7 + view) % 3 == 0
+    (pixel / 7 + view).is_multiple_of(3)
 }
 
 fn masked(photo: Photo, view: usize) -> StoredPhoto {
