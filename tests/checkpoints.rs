@@ -89,6 +89,7 @@ fn memory_of_further_parts_is_planned() {
     let plain = || (views(3, 40), TrainSettings { iterations: 3, ..settings() });
     let exposure = (views(3, 40), TrainSettings { exposure: true, ..plain().1 });
     let lens_effects = (views(3, 40), TrainSettings { lens_effects: true, ..plain().1 });
+    let poses = (views(3, 40), TrainSettings { pose_opt: true, ..plain().1 });
     let depth_points = (few(), TrainSettings { depth_points: 0.2, ..plain().1 });
     let maps = (mapped(), plain().1);
     // These views are too small to be reduced, but the forecast still includes the warm-up.
@@ -98,6 +99,7 @@ fn memory_of_further_parts_is_planned() {
     for (name, with, without) in [
         ("exposure", exposure, plain()),
         ("lens effects", lens_effects, plain()),
+        ("poses", poses, plain()),
         ("warm-up", warm_up, (views(3, 40), whole())),
         ("depth points", depth_points, (few(), plain().1)),
         ("inverse-depth maps", maps, plain()),

@@ -73,7 +73,6 @@ fn wide_blend() {
     on_wide_machines(blend::blend_equals_its_twin_on_images_of_all_sizes);
     on(AMD, || {
         blend::blend_equals_its_twin_on_lists_of_all_lengths();
-        blend::blend_of_opaque_layers();
         blend::blend_in_passes_equals_blend_at_once();
         blend::blend_reports_tiles_that_no_pass_finishes();
         blend::blend_stops_at_the_depth_limit();
@@ -89,7 +88,6 @@ fn wide_blend_backward() {
     });
     on(AMD, || {
         blend_backward::blend_backward_equals_its_twin_on_lists_of_all_lengths();
-        blend_backward::blend_backward_of_opaque_layers();
         blend_backward::blend_backward_in_passes();
         blend_backward::blend_backward_of_nothing_is_zero();
         blend_backward::blend_backward_with_other_sums_equals_its_twin();

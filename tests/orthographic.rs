@@ -4,7 +4,7 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::reference::pipeline;
 use ashsplat::passes::filter_3d::Filter3d;
-use ashsplat::scene::{ClipY, DepthMapping, HostView, Intrinsics, Projection, WorldFrame};
+use ashsplat::scene::{ClipY, HostView, Intrinsics, Projection, WorldFrame};
 use ashsplat_files::cameras_json;
 use glam::camera::rh::view::look_at_mat4;
 use glam::{Mat3, Mat4, Vec4};
@@ -141,22 +141,6 @@ fn orthographic_matrices_become_a_camera() {
         [(wrong, ClipY::Up, "skewed"), (mirrored, ClipY::Down, "mirror the picture")]
     {
         assert_says(refusal(host(clip_from_view, clip_y).camera()), &[expected]);
-    }
-}
-
-/// The conversions of perspective depth are inverse to each other, too.
-#[test]
-fn orthographic_and_perspective_coefficients_invert_the_mapping() {
-    let mappings = [
-        (DepthMapping { scale: -9.99, offset: 10.0, clear_value: 1.0, linear: false }, 0.7),
-        (DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0, linear: false }, 12.0),
-        (DepthMapping { scale: -99.5, offset: 100.0, clear_value: 0.0, linear: true }, 3.0),
-    ];
-    for (mapping, z) in mappings {
-        let [a, b] = mapping.coefficients();
-        let depth = mapping.depth(z);
-        assert_eq!(depth, a * if mapping.linear { z } else { 1.0 / z } + b);
-        assert!((mapping.z(depth) - z).abs() < 1e-4 * z, "{mapping:?}: {}", mapping.z(depth));
     }
 }
 

@@ -5,12 +5,11 @@ use crate::checkpoints;
 use crate::common::blending::assert_alike;
 use crate::common::engine::{self, derivatives, settings};
 use crate::common::prelude::*;
-use crate::common::training::{forecast, photo_size, without_rates};
+use crate::common::training::without_rates;
 use crate::gradients::{self, decisions, linear_loss, narrow_view, narrowed, random_weights, stable_weights};
 use crate::reference::pipeline::{backward, pixels_of, render};
 use crate::reference::pose_step::moved;
 use ashsplat::Alignment;
-use ashsplat::passes::poses::PoseBuffers;
 use ashsplat::scene::{StoredPhoto, Twist, scene_extent};
 use ashsplat::train::OptimizerType;
 use glam::DVec3;
@@ -101,21 +100,6 @@ fn poses_of_a_scene_in_several_buffers() {
     let mut renderer = Renderer::new(&context).expect("a renderer");
     compare_with_device(&mut renderer, &small_view([60, 40]), (1200, 7));
     assert_silent(&context);
-}
-
-#[test]
-fn poses_without_anything_to_see_have_no_gradient() {
-    let gpu = Gpu::new();
-    let view = View { translation: [0.0, 0.0, -50.0], ..small_view([40, 30]) };
-    let mut renderer = renderer();
-    for count in [1, 2, 9, 40] {
-        let scene = gaussians(&small_scene(&mut Random::new(1), count, 1));
-        renderer.upload(&scene).expect("upload");
-        let target = vec![[1.0; 3]; 40 * 30];
-        let gradients = renderer.gradients_with_pose(&camera(&view), &settings(&view), &target, None);
-        assert_eq!(gradients.expect("gradients").pose, Some([0.0; 6]));
-    }
-    drop((renderer, gpu));
 }
 
 /// L = Σ pixel · weight with smooth weights, by the public renderer.
@@ -347,20 +331,4 @@ fn poses_stay_unless_asked_for() {
         assert_eq!(trainer.cameras().expect("cameras"), given);
     }
     assert!(plain.state().poses.is_none());
-}
-
-#[test]
-fn poses_count_among_the_memory() {
-    let needed = |pose_opt: bool, photos: usize| {
-        let context = bounded(Some(1 << 20));
-        let settings = TrainSettings { pose_opt, ..TrainSettings::reference() };
-        forecast(&settings, &vec![photo_size("a.png", [300, 200]); photos], [1000, 0], &context).0
-    };
-    for photos in [3, 900] {
-        let more = needed(true, photos) - needed(false, photos);
-        let poses = PoseBuffers::requests(photos as u32);
-        let bytes: u64 = poses.iter().map(|(_, bytes)| bytes).sum();
-        assert!((bytes..bytes + 4096).contains(&more), "{more} bytes more for {bytes}");
-        assert!(bytes >= 172 * photos as u64);
-    }
 }

@@ -6,7 +6,7 @@
 use crate::absent_data;
 use ashsplat_files::colmap::{Model, find};
 use ashsplat_files::dataset::{Dataset, DatasetOptions};
-use ashsplat_files::{Progress, Resolution, splats};
+use ashsplat_files::{Progress, splats};
 use glam::Vec3;
 use libtest_mimic::Trial;
 use std::path::{Path, PathBuf};
@@ -25,8 +25,6 @@ pub fn trials(shared: &Path) -> Vec<Trial> {
         });
     };
     add("data_fox_half", "fox/half", |path| fox(path, 266, 474));
-    add("data_fox_quarter", "fox/quarter", |path| fox(path, 133, 237));
-    add("data_fox_quarter_scaled", "fox/quarter", fox_scaled);
     add("data_fox_quarter_txt", "fox/quarter_txt", fox_text);
     add("data_trained_quantised_sh3", "trained/yushimatenjin_186k_sh3.inria.ply", |p| trained(p, 185_761, 3));
     add("data_trained_reordered_sh2", "trained/playbot_lod3_31k_sh2.ply", |p| trained(p, 31_000, 2));
@@ -81,19 +79,6 @@ fn assert_points_are_seen(dataset: &Dataset) {
         assert!(seen > 500, "{}: {seen} points", view.name);
     }
     assert!(3 * difference < 2 * mirrored, "colours differ by {difference}, mirrored by {mirrored}");
-}
-
-fn fox_scaled(path: &Path) {
-    let options = DatasetOptions { resolution: Resolution::Factor(2), ..DatasetOptions::default() };
-    let dataset = Dataset::load(path, &options, Progress::NONE).unwrap();
-    for view in &dataset.train {
-        // Half of 133 and 237, ties to even.
-        assert_eq!((view.photo.width, view.photo.height), (66, 118));
-        let ratio = view.camera.fx / view.original_camera.fx;
-        assert!((ratio - 66.0 / 133.0).abs() < 1e-6);
-        assert!((view.camera.cy / view.original_camera.cy - 118.0 / 237.0).abs() < 1e-6);
-    }
-    assert_points_are_seen(&dataset);
 }
 
 fn fox_text(path: &Path) {

@@ -46,13 +46,6 @@ fn scan_of_many_sizes() {
 }
 
 #[test]
-fn scan_wraps_around() {
-    let gpu = Gpu::new();
-    let scan = Scan::new(gpu.context).expect("the kernels of the scan");
-    check(&gpu, &scan, &[u32::MAX; 3000], false);
-}
-
-#[test]
 fn scan_in_a_narrow_grid() {
     let limits = LimitsOverride { max_workgroups_per_axis: Some(7), ..LimitsOverride::default() };
     let gpu = Gpu::with(&ContextOptions { limits_override: Some(limits), ..options() });

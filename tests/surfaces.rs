@@ -8,7 +8,7 @@ use crate::lenses::photographed;
 use crate::reference::blend::{beside, is_surface_depth};
 use crate::reference::pipeline::{self, pixels_of, tile_of};
 use crate::reference::splat_surface::{depth_slope, splat_normal};
-use ashsplat::scene::{Intrinsics, PhotoLens, Projection, Readout, Shutter};
+use ashsplat::scene::{Intrinsics, PhotoLens, Projection};
 use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh, PinholeView, Pinholes};
 use ashsplat::train::MomentsType;
 use ashsplat::{Surface, SurfaceDepth};
@@ -156,37 +156,6 @@ fn a_ball_through_lenses_becomes_a_closed_mesh() {
     }
 }
 
-#[test]
-fn pinholes_show_what_the_photograph_shows() {
-    let views = |camera: &Camera, mask: Option<&[u8]>| {
-        let photograph = mask.map(|_| camera.photo_lens());
-        Pinholes::new(&camera.photo_lens(), photograph.as_ref()).views(camera, mask)
-    };
-    let pinhole = cameras()[0];
-    let shutter = Some(Shutter { readout: Readout::Down, turn: Vec3::X, shift: Vec3::Y });
-    let own = vec![PinholeView { camera: pinhole, counts: None }];
-    assert_eq!((views(&pinhole, None), views(&Camera { shutter, ..pinhole }, None)), (own.clone(), own));
-    assert_eq!(views(&pinhole.orthographic(), None), []);
-    let mask: Vec<u8> = (0..96 * 96).map(|pixel| (pixel % 96 / 50) as u8).collect();
-    let counts: Vec<bool> = mask.iter().map(|&value| value != 0).collect();
-    assert_eq!(views(&pinhole, Some(&mask)), [PinholeView { camera: pinhole, counts: Some(counts) }]);
-    // Each pixel lies in one pinhole, whose pixels are those of the mask but for its edge.
-    let fisheye = Camera { fx: 40.0, fy: 40.0, ..pinhole }.with_lens(Projection::Fisheye, &[0.01]);
-    let found = views(&fisheye, Some(&mask));
-    assert_eq!(found.len(), 5);
-    let lens = fisheye.photo_lens();
-    let inner = (3..93).flat_map(|y| (3..93).map(move |x| [x, y]));
-    for [x, y] in inner.filter(|[x, _]| !(48..52).contains(x)) {
-        let ray = lens.ray(glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).expect("a direction");
-        let ray = fisheye.camera_from_world.as_dmat3().transpose() * ray;
-        let shown = found.iter().filter_map(|PinholeView { camera, counts }| {
-            let place = camera.photo_lens().pixels()(camera.camera_from_world.as_dmat3() * ray)?;
-            counts.as_ref().map(|counts| counts[place])
-        });
-        assert_eq!(shown.collect::<Vec<_>>(), [x >= 50], "({x}, {y})");
-    }
-}
-
 /// A closed ball of radius 1 with the colours of [`disks`].
 fn check_ball(mesh: &Mesh) {
     assert_eq!(open_edges(&mesh.triangles), 0, "the mesh has a border");
@@ -226,18 +195,6 @@ fn simplified_borders_and_edges_stay() {
     found.sort_unstable();
     let expected = [[0, 0, 0], [0, 80, 0], [80, 0, 0], [80, 0, 80], [80, 80, 0], [80, 80, 80]];
     assert_eq!((mesh.triangles.len(), &found[..], &mesh.colors[..]), (4, &expected[..], &[[9, 8, 7]; 6][..]));
-}
-
-#[test]
-fn simplified_meshes_keep_their_parts() {
-    let positions: Vec<[f32; 3]> =
-        (0..6).map(|i| [(i % 3) as f32, (i % 3 / 2) as f32, (i / 3) as f32]).collect();
-    let two = Mesh { positions, colors: vec![[9, 8, 7]; 6], triangles: vec![[0, 1, 2], [3, 4, 5]] };
-    let mut mesh = two.clone();
-    mesh.simplify(1, &mut || Ok(())).expect("no stop");
-    assert_eq!(mesh, two);
-    let stopped = mesh.simplify(1, &mut || Err(Error::Interrupted));
-    assert!(matches!(stopped, Err(Error::Interrupted)), "{stopped:?}");
 }
 
 /// Training with `surface` turns a ball's randomly oriented Gaussians to its surface and shrinks their shortest axes.

@@ -3,10 +3,9 @@
 use crate::common::device::kept_for_transfers;
 use crate::common::prelude::*;
 use crate::common::training::{forecast, photo_size};
-use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, initial_visible};
+use ashsplat::frame::initial_visible;
 use ashsplat::scene::Bounds;
 use ashsplat::train::{Capacities, MomentsType, SceneBlock};
-use ashsplat::vk::{Life, pack};
 
 const SIZE: [u32; 2] = [64, 48];
 const COUNT: u32 = 24_000;
@@ -100,26 +99,6 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
             assert!(ours == theirs, "iteration {iteration}");
         }
         assert!(repeated, "no frame had less room than it needed");
-    }
-}
-
-/// A frame takes about what its largest pass takes, without the backward pass and with it.
-#[test]
-fn buffers_of_different_passes_share_memory() {
-    let limits = context().limits();
-    let whole = PictureCapacity::of(3840, 2160);
-    for (backward, visible, instances) in
-        [(false, 1_000_000, 6_000_000), (false, 2_200_000, 9_000_000), (true, 1_000_000, 6_000_000)]
-    {
-        let pictures = if backward { whole } else { whole.without_backward() };
-        let usual = FrameCapacity { backward, trained: backward, ..FrameCapacity::default() };
-        let capacity = FrameCapacity { gaussians: 2_200_000, visible, instances, pictures, ..usual };
-        let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(limits));
-        let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
-        let bytes = |lives: &[Life]| pack(&sizes, lives, u64::MAX).expect("one block").blocks[0];
-        let (shared, apart) = (bytes(FrameBuffers::LIVES), bytes(&[]));
-        let max = if backward { 0.8 } else { 0.68 };
-        assert!((shared as f64) < max * apart as f64, "{shared} of {apart}, {capacity:?}");
     }
 }
 

@@ -66,14 +66,7 @@ fn meshes_have_the_scenes_origin() {
         .split(' ')
         .map(|word| word.parse().expect("a number"))
         .collect();
-    let first: Vec<f64> = text
-        .lines()
-        .nth(1)
-        .expect("a vertex")
-        .split(' ')
-        .skip(1)
-        .map(|word| word.parse().expect("a number"))
-        .collect();
+    let first = vertices(&text)[0].as_dvec3().to_array();
     let from_center =
         [500_000.0, 4_000_000.0, 100.0].into_iter().zip(&origin).zip(&first).map(|((c, o), v)| o + v - c);
     let radius = from_center.map(|x| x * x).sum::<f64>().sqrt();

@@ -1,11 +1,12 @@
 //! Normals and depths of surfaces in recorded frames, compared with those of frames that are waited for.
 
-use crate::auxiliary::truth::{Screens, of_half};
+use crate::auxiliary::truth::Screens;
 use crate::scene_settings::HIDDEN;
 use crate::scenes::{joined, similarity};
 use crate::stage::*;
 use ashsplat::vk::SURFACE_FORMATS;
 use ashsplat::{SurfaceDepth, SurfaceTarget};
+use half::f16;
 
 const SIZE: [u32; 2] = [110, 70];
 
@@ -51,7 +52,13 @@ fn recorded_surfaces_equal_those_of_waited_frames() {
                 let (texels, tolerance) = match texel_bytes(format) {
                     8 => {
                         let halves: Vec<[u16; 4]> = picture.texture.read(WRITTEN);
-                        (halves.into_iter().map(|texel| texel.map(of_half)).collect(), 2e-3)
+                        (
+                            halves
+                                .into_iter()
+                                .map(|texel| texel.map(|bits| f16::from_bits(bits).to_f32()))
+                                .collect(),
+                            2e-3,
+                        )
                     }
                     _ => (picture.texture.read::<[f32; 4]>(WRITTEN), 1e-4),
                 };

@@ -95,21 +95,3 @@ fn boxes_that_do_not_divide_space_are_refused() {
     }
     assert_eq!(Cells::of(&[Cells::EVERYTHING]).unwrap().at(Vec3::MAX), Some(0));
 }
-
-#[test]
-fn seams_lie_between_neighbours() {
-    // Four cells in a square have four seams: cells that share only an edge have none.
-    let square = [[0.0; 3], [4.0, 0.0, 0.0], [4.0, 3.0, 0.0], [0.0, 3.0, 0.0]];
-    let cells = Cells::divide(&square, 1).unwrap();
-    let seams = cells.seams();
-    assert_eq!(seams.len(), 4);
-    for seam in &seams {
-        let [below, above] = seam.cells.map(|cell| cells.bounds()[cell]);
-        assert_eq!(below.max[seam.axis], above.min[seam.axis]);
-        assert_eq!(seam.bounds.size()[seam.axis], 0.0);
-    }
-    let x = seams.iter().find(|seam| seam.axis == 0 && seam.bounds.max.y < 9.0).unwrap();
-    assert_eq!((x.bounds.min.x, x.distance(Vec3::new(6.0, 0.0, 9.0))), (4.0, 2.0));
-    // A point beyond the seam's end.
-    assert_eq!(x.distance(Vec3::new(4.0, 3.0 + 1.5, 9.0)), 1.5);
-}

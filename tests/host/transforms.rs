@@ -509,17 +509,6 @@ fn masks_and_alpha_say_what_counts() {
     assert_refused(&folder, &["masks/3.png: is 3x3 pixels, its photo 20x12"]);
 }
 
-#[test]
-fn masks_beside_the_photos_need_no_mask_path() {
-    let folder = Folder::new();
-    folder.transforms(3, &json!({}));
-    folder.save("masks/r_1.png", left_half());
-    let train = folder.sound().train;
-    let masks: Vec<_> = train.iter().map(|view| view.photo.mask().unwrap()).collect();
-    assert!(masks[0].is_none() && masks[2].is_none());
-    assert!(**masks[1].as_ref().unwrap() == **left_half().as_raw());
-}
-
 /// Files of an archive below a folder.
 fn below<'a>(prefix: &str, files: &'a [(&str, Vec<u8>)]) -> Vec<(String, &'a [u8])> {
     files.iter().map(|(name, bytes)| (format!("{prefix}{name}"), &**bytes)).collect()

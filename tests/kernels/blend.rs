@@ -155,13 +155,6 @@ pub fn blend_equals_its_twin_on_images_of_all_sizes() {
     }
 }
 
-/// Opaque layers reach the clamp at 0.99 and the stop before transmittance 1e-4.
-#[test]
-pub fn blend_of_opaque_layers() {
-    let gpu = Gpu::new();
-    check(&gpu, &lists(&gpu, 50, [0.98, 1.0]), true, u32::MAX);
-}
-
 #[test]
 pub fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();

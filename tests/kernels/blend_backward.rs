@@ -114,12 +114,6 @@ pub fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
 }
 
 #[test]
-pub fn blend_backward_of_opaque_layers() {
-    let gpu = Gpu::new();
-    check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), u32::MAX);
-}
-
-#[test]
 pub fn blend_backward_in_passes() {
     let gpu = Gpu::new();
     for opacity in [[0.005, 0.03], [0.5, 1.0]] {

@@ -246,21 +246,15 @@ impl Rows {
         })
     }
 
-    /// Runs the kernel for each plane; `noise` has the numbers of each child and Gaussian.
-    fn gathered(
-        &self,
-        gpu: &Gpu,
-        spec: gather::Spec,
-        moments: bool,
-        noise: Option<&Buffer>,
-    ) -> Vec<Gaussian> {
+    /// Runs the kernel for each plane.
+    fn gathered(&self, gpu: &Gpu, spec: gather::Spec, moments: bool) -> Vec<Gaussian> {
         let (before, after) = (self.gaussians.len(), self.sources.len());
         let sources = gpu.buffer("sources", &self.sources);
         let from = gpu.gaussians("from", &self.gaussians);
         let (from_rows, to_rows) = (plane_capacity(before), plane_capacity(after) + 256);
         let words = planes(COEFFICIENTS) * to_rows;
         let to = gpu.untouched::<[f32; 4]>("to", words);
-        let bind = gather::Bind { sources: &sources, from: &from, to: &to, noise: noise.unwrap_or(&sources) };
+        let bind = gather::Bind { sources: &sources, from: &from, to: &to, noise: &sources };
         for plane in 0..planes(COEFFICIENTS) as u32 {
             let form = match plane {
                 _ if moments => GATHER_MOMENTS,
@@ -324,7 +318,7 @@ fn gather_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         let rows = Rows::random(size);
-        let actual = rows.gathered(&gpu, gather_spec(&gpu), false, None);
+        let actual = rows.gathered(&gpu, gather_spec(&gpu), false);
         // Logarithm, cosine and their arguments are float32. Vulkan requires a cosine within 2^-11; the radius is at
         // most 6.
         let error = if gpu.context.device_name().contains("llvmpipe") { 2e-4 } else { 6.0 / 2048.0 };
@@ -333,21 +327,6 @@ fn gather_equals_its_twin() {
         };
         rows.compare(&actual, child, error + 2e-6);
     }
-}
-
-#[test]
-fn gather_with_explicit_noise() {
-    let gpu = Gpu::new();
-    let rows = Rows::random(500);
-    let mut random = Random::new(9);
-    let count = rows.gaussians.len();
-    let noise: Vec<[f32; 3]> = (0..2 * count).map(|_| [0; 3].map(|_| random.normal() as f32)).collect();
-    let buffer = gpu.buffer("noise", &noise);
-    let spec = gather::Spec { explicit_noise: true, ..gather_spec(&gpu) };
-    let child = |source: &Gaussian, gaussian: u32, child: u32| {
-        child_of(source, noise[child as usize * count + gaussian as usize].map(f64::from))
-    };
-    rows.compare(&rows.gathered(&gpu, spec, false, Some(&buffer)), child, 2e-6);
 }
 
 #[test]
@@ -365,7 +344,7 @@ fn gather_of_splits_along_the_long_axis() {
             (gaussian.opacity_logit, gaussian.log_scale) = (logit, log_scale);
         }
         let spec = gather::Spec { long_axis: true, ..gather_spec(&gpu) };
-        let actual = rows.gathered(&gpu, spec, false, None);
+        let actual = rows.gathered(&gpu, spec, false);
         rows.compare(&actual, |source, _, child| long_axis_child(source, child), 4e-6);
     }
 }
@@ -374,7 +353,7 @@ fn gather_of_splits_along_the_long_axis() {
 fn gather_of_moments() {
     let gpu = Gpu::new();
     let rows = Rows::random(500);
-    let actual = rows.gathered(&gpu, gather_spec(&gpu), true, None);
+    let actual = rows.gathered(&gpu, gather_spec(&gpu), true);
     let zero = zero(COEFFICIENTS);
     for ((source, gaussian, kind), actual) in rows.each().zip(&actual) {
         assert_eq!(actual, if kind == 0 { source } else { &zero }, "row of {gaussian}");

@@ -1,6 +1,6 @@
 //! `forward/project` against its twin.
 
-use crate::common::frame::{Projected, tile_bounds, touched_at_most, visible_scene};
+use crate::common::frame::{Projected, tile_bounds, touched_at_most};
 use crate::common::prelude::*;
 use crate::reference::cull::cull;
 use crate::reference::lists::{is_listed, listed_tiles, tiles_met};
@@ -231,16 +231,5 @@ fn project_leaves_out_what_other_views_show() {
         }
         assert!(places.iter().all(|&i| lists[i] == [0; 2]), "{:?}", &lists[..3]);
         assert!(borderline <= 1 + size / 50 && count > size / 10, "{borderline} of {size}, {count} seen");
-    }
-}
-
-#[test]
-fn project_counts_the_tiles_of_its_twin() {
-    let gpu = Gpu::new();
-    for extent in [Extent::Exact, Extent::Reference] {
-        let view = View { extent, ..small_view([150, 90]) };
-        let projected = Projected::new(&gpu, &visible_scene(600, &view), &view);
-        let footprints = gpu.read(&projected.footprints, projected.expected.len());
-        check_tiles(&gpu, &projected, &footprints, &view);
     }
 }

@@ -8,20 +8,11 @@ use ashsplat::kernels::surface::{
     count_triangles, count_vertices, integrate, place_triangles, place_vertices,
 };
 use ashsplat::surface::cube_cases;
+use half::f16;
 use std::collections::HashMap;
 
 const SIDE: i32 = FIELD_SIDE as i32;
 const VOXELS: usize = FIELD_VOXELS as usize;
-
-/// Value of a half float that is finite.
-fn from_half(bits: u16) -> f64 {
-    let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
-    let size = match exponent {
-        0 => mantissa * 2f64.powi(-24),
-        _ => (1024.0 + mantissa) * 2f64.powi(exponent - 25),
-    };
-    if bits >> 15 == 1 { -size } else { size }
-}
 
 /// Directed edges of triangles without one in the other direction.
 pub fn open_edges(triangles: &[[u32; 3]]) -> usize {
@@ -131,11 +122,13 @@ fn integrate_equals_its_twin() {
     for index in (0..4 * VOXELS).filter(|&index| !unstable[index]) {
         let Voxel { distance, weight, views, color, color_weight } = expected[index];
         let [actual, words] = distances[index];
-        let (actual, actual_weight) = (f64::from(f32::from_bits(actual)), from_half(words as u16));
+        let (actual, actual_weight) =
+            (f64::from(f32::from_bits(actual)), f16::from_bits(words as u16).to_f64());
         // Sums of weights are half floats.
         let close = (actual - distance).abs() < 2e-3 && (actual_weight - weight).abs() <= 2e-3 * weight;
         assert!(close && words >> 16 == views, "{index}: {actual}, expected {distance}");
-        let halves = colors[index].map(|word| [word as u16, (word >> 16) as u16].map(from_half));
+        let halves = colors[index]
+            .map(|word| [word as u16, (word >> 16) as u16].map(|bits| f16::from_bits(bits).to_f64()));
         let [[r, g], [b, sum]] = halves;
         let off = [r, g, b].into_iter().zip(color).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(off < 3e-3 && (sum - color_weight).abs() <= 2e-3 * color_weight, "{index}: {halves:?}");

@@ -42,25 +42,6 @@ fn half_extent(frame: &Frame) -> [f32; 2] {
 }
 
 #[test]
-fn scale_modifier_equals_a_scene_with_other_scales() {
-    let scene = super::ball(500);
-    let mut smaller = scene.clone();
-    smaller.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += 0.4f32.ln());
-    let view = super::camera(0.2);
-    let mut renderer = renderer();
-    renderer.upload(&smaller).expect("uploaded");
-    let expected = renderer.render(&view, &RenderSettings::default()).expect("a frame");
-    renderer.upload(&scene).expect("uploaded");
-    let modified = RenderSettings { scale_modifier: 0.4, ..RenderSettings::default() };
-    let actual = renderer.render(&view, &modified).expect("a frame");
-    let error =
-        actual.color.as_flattened().iter().zip(expected.color.as_flattened()).map(|(a, b)| (a - b).abs());
-    assert!(error.fold(0.0, f32::max) < 2e-3);
-    let unchanged = renderer.render(&view, &RenderSettings::default()).expect("a frame");
-    assert_ne!(unchanged.color, actual.color);
-}
-
-#[test]
 fn ellipsoids_are_opaque_up_to_their_surface() {
     let settings = RenderSettings { shape: Shape::Ellipsoid, ..RenderSettings::default() };
     let focal = camera().fx;

@@ -3,9 +3,7 @@
 use crate::common;
 use ashsplat::Error;
 use ashsplat::kernels::{self, scan::scan_reduce};
-use ashsplat::vk::{
-    BindingInfo, Context, Form, Kernel, KernelInterface, KernelVisitor, Limits, LimitsOverride,
-};
+use ashsplat::vk::{Context, Kernel, KernelInterface, KernelVisitor, Limits, LimitsOverride};
 
 #[test]
 fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {
@@ -23,42 +21,6 @@ fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {
     let error = refused(scan_reduce::Spec { workgroup_size: 0, ..fits });
     assert!(error.to_string().contains("no invocations"), "{error}");
     common::assert_silent(common::context());
-}
-
-/// Kernels with two buffers in one memory, and their variables, which each form must declare Aliased.
-struct Aliases(Vec<(&'static str, Vec<&'static str>)>);
-
-impl KernelVisitor for Aliases {
-    fn visit<K: KernelInterface>(&mut self) {
-        let names = |bindings: &[BindingInfo]| -> Vec<_> {
-            bindings.iter().filter(|binding| binding.aliased).map(|binding| binding.name).collect()
-        };
-        let all = names(K::FORMS[0].bindings);
-        for &Form { spirv, bindings, .. } in K::FORMS {
-            assert_eq!(names(bindings), all, "{}", K::NAME);
-            // OpDecorate, a variable, Aliased; Restrict means the opposite.
-            let decorated =
-                |with: u32| spirv.windows(3).filter(|w| w[0] == 3 << 16 | 71 && w[2] == with).count();
-            assert_eq!((decorated(20), decorated(19)), (all.len(), 0), "{}", K::NAME);
-        }
-        if !all.is_empty() {
-            self.0.push((K::NAME, all));
-        }
-    }
-}
-
-#[test]
-fn kernels_with_two_names_for_one_memory_tell_the_compiler() {
-    let mut aliases = Aliases(Vec::new());
-    kernels::visit_all(&mut aliases);
-    let adam = ["parameters", "moments_1", "moments_2", "old_parameters", "old_moments_1", "old_moments_2"];
-    let moments = adam[1..3].to_vec();
-    let expected = [
-        ("densify/relocate", moments.clone()),
-        ("densify/reset_opacity", moments),
-        ("optimizer/adam", adam.to_vec()),
-    ];
-    assert_eq!(aliases.0, expected);
 }
 
 /// Checks whether kernels fit a device with these limits, apart from their workgroups.

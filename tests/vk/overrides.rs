@@ -1,25 +1,10 @@
 //! Overridden specialization constants, and the fill of tiles.
 
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
-use ashsplat::vk::{Context, ContextOptions, SpecOverride};
-use ashsplat::{Frame, RenderSettings, Renderer};
-use glam::Vec3;
+use crate::common::prelude::*;
 
-/// A curved wall of 3000 Gaussians with view-dependent colours, and a camera in front of it.
 fn scene() -> (Gaussians, Camera) {
-    let place =
-        |i: u32| [(i % 60) as f32 / 30.0 - 1.0, (i / 60) as f32 / 25.0 - 1.0, ((i * i) % 7) as f32 * 0.02];
-    let points = PointCloud {
-        positions: (0..3000).map(place).collect(),
-        colors: (0..3000u32).map(|i| [(i % 251) as u8, (i % 83) as u8, 120]).collect(),
-    };
-    let mut gaussians = ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
-    gaussians.opacity_logits.fill(1.0);
-    for (index, color) in gaussians.sh.iter_mut().enumerate().filter(|(index, _)| index % 4 != 0) {
-        *color = [0.1 * (index % 3) as f32, 0.2, 0.1];
-    }
-    let intrinsics = Intrinsics::from_fov_x(0.9, 120, 90);
-    (gaussians, Camera::look_at(Vec3::new(0.3, 0.1, -2.2), Vec3::ZERO, Vec3::NEG_Y, intrinsics))
+    let scene = gaussians(&small_scene(&mut Random::new(3), 600, 4));
+    (scene, camera(&small_view([120, 90])))
 }
 
 fn override_of(kernel: &str, constant: &str, bits: u32) -> SpecOverride {

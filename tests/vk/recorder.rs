@@ -3,7 +3,7 @@
 use super::{allocate, run, words};
 use crate::common;
 use ashsplat::kernels::scan::scan_reduce;
-use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, LimitsOverride, MemoryKind, Recorder};
+use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, MemoryKind, Recorder};
 
 /// Sums of blocks of a sequence on the device.
 struct BlockSums {
@@ -51,17 +51,6 @@ impl BlockSums {
 }
 
 const PUSH: scan_reduce::Push = scan_reduce::Push { count_index: 0 };
-
-#[test]
-fn more_workgroups_than_an_axis_holds_are_all_run() {
-    let override_ = LimitsOverride { max_workgroups_per_axis: Some(5), ..LimitsOverride::default() };
-    let context = Context::new(&ContextOptions { limits_override: Some(override_), ..common::options() });
-    let context = context.expect("a context");
-    let sums = BlockSums::new(&context, 8_500);
-    assert!(sums.workgroups > 5);
-    sums.run(&context);
-    common::assert_silent(&context);
-}
 
 #[test]
 fn an_indirect_dispatch_takes_its_grid_from_a_buffer() {
@@ -235,46 +224,11 @@ fn a_context_serves_several_threads() {
 }
 
 #[test]
-fn scopes_are_timed_and_nested() {
-    for timestamps in [true, false] {
-        let context = Context::new(&ContextOptions { timestamps, ..common::options() }).expect("a context");
-        let sums = BlockSums::new(&context, 50_000);
-        let report = run(&context, |r| {
-            r.scope("outer", |r| {
-                r.scope("inner", |r| sums.record(r));
-                r.barrier();
-                r.scope("clear", |r| r.fill(&sums.block_sums, 0));
-            });
-        });
-        if !timestamps || context.limits().timestamp_period_ns == 0.0 {
-            assert!(report.scopes.is_empty());
-            continue;
-        }
-        let names: Vec<_> = report.scopes.iter().map(|s| (s.name, s.depth)).collect();
-        assert_eq!(names, [("outer", 0), ("inner", 1), ("clear", 1)]);
-        let [outer, inner, clear] = [0, 1, 2].map(|i| report.scopes[i].nanoseconds);
-        assert!(inner > 0.0 && inner + clear <= outer && outer <= report.nanoseconds, "{report:?}");
-        common::assert_silent(&context);
-    }
-}
-
-#[test]
 fn more_scopes_than_timestamps_are_fine() {
     let context = common::context();
     let report = run(context, |r| (0..300).for_each(|_| r.scope("many", |_| ())));
     assert!(report.scopes.len() < 300);
     common::assert_silent(context);
-}
-
-#[test]
-fn a_dropped_recording_submits_nothing() {
-    let context = common::context();
-    let [buffer] = allocate(context, [("a", 16)]);
-    context.upload(&buffer, &[1; 16]).expect("upload");
-    let mut recorder = context.begin("dropped").expect("a recording");
-    recorder.fill(&buffer, 0);
-    drop(recorder);
-    assert_eq!(context.download(&buffer).expect("download"), [1; 16]);
 }
 
 /// Push constants claim more elements than a kernel's buffer holds: neighbouring buffers stay intact, and nothing
