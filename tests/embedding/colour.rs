@@ -201,3 +201,47 @@ fn every_format_holds_the_picture() {
         }
     });
 }
+
+fn panels(pictures: [image::RgbImage; 2]) -> image::RgbImage {
+    let (width, height) = pictures[0].dimensions();
+    let mut both = image::RgbImage::from_pixel(2 * width + 8, height, image::Rgb([255; 3]));
+    for (at, picture) in [0, width + 8].into_iter().zip(&pictures) {
+        image::imageops::replace(&mut both, picture, at.into(), 0);
+    }
+    both
+}
+
+/// Run with `ASHSPLAT_PICTURES=engine/guide/pictures cargo test --release --test embedding -- --ignored
+/// pictures_of_the_guide`.
+#[test]
+#[ignore = "writes files of the guide"]
+fn pictures_of_the_guide() {
+    let folder = std::path::PathBuf::from(std::env::var_os("ASHSPLAT_PICTURES").expect("a folder"));
+    let drawn = tempfile::tempdir().expect("a folder");
+    crate::guest::pictures(drawn.path(), &options()).expect("pictures");
+    let part = |name: &str| {
+        let picture = image::open(drawn.path().join(format!("embed_{name}.png"))).expect("a picture");
+        picture.crop_imm(60, 20, 360, 320).into_rgb8()
+    };
+    panels([part("washed_out"), part("turned")]).save(folder.join("colour_target.png")).expect("written");
+
+    // Over white in linear light: premultiplied colours decoded directly, and colours decoded before the product
+    // with alpha.
+    let camera = camera(0.6, 120, 106);
+    let frame = owned(&crate::guest::ring(), &camera, &RenderSettings::default());
+    let over_white = |light: &dyn Fn(f64, f64) -> f64| {
+        let mut picture = image::RgbImage::new(camera.width, camera.height);
+        for (pixel, (color, transmittance)) in
+            picture.pixels_mut().zip(frame.color.iter().zip(&frame.transmittance))
+        {
+            let transmittance = f64::from(*transmittance);
+            let mixed = color.map(|c| encode(light(c.into(), 1.0 - transmittance) + transmittance));
+            pixel.0 = mixed.map(|x| (255.0 * x.clamp(0.0, 1.0)).round() as u8);
+        }
+        let part = image::imageops::crop_imm(&picture, 52, 46, 60, 40).to_image();
+        image::imageops::resize(&part, 360, 240, image::imageops::FilterType::Nearest)
+    };
+    let naive = over_white(&|color, _| decode(color));
+    let right = over_white(&|color, alpha| if alpha > 0.0 { alpha * decode(color / alpha) } else { 0.0 });
+    panels([naive, right]).save(folder.join("colour_alpha.png")).expect("written");
+}
