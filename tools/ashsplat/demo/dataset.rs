@@ -77,8 +77,8 @@ pub struct Choices {
     /// What is photographed
     #[arg(long, value_enum, default_value_t)]
     scene: Subject,
-    /// Lots along a side of the city, 8 to 32: 16 have four times the houses, points and photographs [default: 8]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=32))]
+    /// Lots along a side of the city, 4 to 32: 16 have four times the houses, points and photographs [default: 8]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..=32))]
     lots: Option<u32>,
     /// Width of the city's photographs, 64 to 1024 pixels; their height is three quarters of it [default: 128]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=1024))]
