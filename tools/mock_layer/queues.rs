@@ -8,7 +8,6 @@ use super::submissions::{Queue, QueueIndex, Submission, Submissions, Wait};
 use ash::vk::{self, Handle};
 
 impl Submissions {
-    /// Submits all submissions that may start now.
     pub fn start_ready(&mut self, state: &DeviceState) -> vk::Result {
         while let Some(submission) = self.next() {
             let info = [vk::SubmitInfo2::default()
