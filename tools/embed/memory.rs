@@ -6,7 +6,6 @@ use ashsplat::vk::{ForeignImage, ImageUse};
 
 const STORAGE: vk::ImageUsageFlags = vk::ImageUsageFlags::STORAGE;
 
-/// An image with its memory and a view.
 pub struct HostTexture {
     pub image: vk::Image,
     pub view: vk::ImageView,
@@ -56,7 +55,6 @@ impl HostTexture {
         }
     }
 
-    /// Describes the image to the guest.
     pub fn foreign(&self) -> ForeignImage {
         let Self { image, format, flags, usage, size, .. } = *self;
         let samples = vk::SampleCountFlags::TYPE_1;

@@ -10,7 +10,6 @@ use tungstenite::{Message, WebSocket};
 /// Longest wait of a page for an answer, whatever other clients do.
 pub const PATIENCE: Duration = Duration::from_secs(10);
 
-/// A page's WebSocket.
 pub struct Page {
     socket: WebSocket<TcpStream>,
 }
@@ -120,7 +119,6 @@ impl Page {
         self.send(&json!({ "type": "train", "action": action }))
     }
 
-    /// Progress of training.
     pub fn status(&mut self) -> Result<Value> {
         self.send(&json!({ "type": "status", "since": 0 }))?;
         self.wait_for("status")
@@ -147,7 +145,6 @@ impl Page {
     }
 }
 
-/// A page's request for a picture.
 pub fn view() -> Value {
     json!({ "type": "view", "seq": 1, "look": {}, "camera": {
         "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 2.5], "fx": 100, "fy": 100, "cx": 48,

@@ -16,7 +16,6 @@ const READY: Duration = Duration::from_secs(60);
 /// Interval between checks of its memory.
 const WATCH: Duration = Duration::from_millis(5);
 
-/// Resource limits of the program.
 #[derive(Clone, Default)]
 pub struct Limits {
     pub descriptors: Option<u64>,
@@ -40,7 +39,6 @@ fn unshare() -> Command {
     command
 }
 
-/// How a program ended.
 #[derive(Debug)]
 pub struct Ending {
     /// None after a signal.
@@ -166,12 +164,10 @@ impl Program {
         self.child.id()
     }
 
-    /// True if it still runs.
     pub fn runs(&mut self) -> bool {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// Sends SIGKILL.
     pub fn kill(&mut self) {
         self.child.kill().ok();
     }

@@ -33,7 +33,6 @@ pub fn in_turn(
     Ok(all.map(|runs| medians(&runs)))
 }
 
-/// Measures one program alone.
 pub fn alone(runs: usize, mut work: impl FnMut() -> Result<Run>) -> Result<Run> {
     work()?;
     Ok(medians(&(0..runs).map(|_| work()).collect::<Result<Vec<_>>>()?))
