@@ -52,9 +52,7 @@ mod reloading {
     const WARMUP: u32 = 1;
 
     /// Folder of the shaders that the program was built from.
-    fn own_glsl() -> PathBuf {
-        PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
-    }
+    const OWN_GLSL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl");
 
     /// Compiles the kernels of a folder and uses those that differ from the program's own.
     pub fn take_over(context: &Context, glsl: &Path) -> Result<()> {
@@ -101,7 +99,6 @@ mod reloading {
         }
     }
 
-    /// A measurement and its picture.
     struct State {
         kernels: Vec<KernelResult>,
         measured: Measured,
@@ -120,7 +117,7 @@ mod reloading {
 
     /// Runs until Ctrl-C.
     pub fn run(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<()> {
-        let glsl = arguments.glsl.clone().unwrap_or_else(own_glsl);
+        let glsl = arguments.glsl.clone().unwrap_or_else(|| OWN_GLSL.into());
         if !glsl.is_dir() {
             return Err(Error::input(&glsl, "is no folder of shaders", "give it with --glsl"));
         }
