@@ -95,7 +95,6 @@ enum Format {
     Both,
 }
 
-/// Default frame rate of a film.
 const FILM_RATE: u32 = 30;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -237,7 +236,6 @@ fn learned_of<T: Copy>(
     })
 }
 
-/// The lens effects of each photo.
 fn lenses_by_photo(file: &Path) -> Result<BTreeMap<String, LensEffects>> {
     let lenses = LensFile::read(file)?;
     Ok(lenses.photos.keys().filter_map(|name| Some((name.clone(), lenses.of(name)?))).collect())

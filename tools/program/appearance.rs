@@ -58,7 +58,6 @@ impl Appearances {
         })
     }
 
-    /// Exposure and lens effects of a photograph.
     pub fn of(&self, photo: &str) -> Appearance {
         Appearance { exposure: self.exposures.get(photo).copied(), lens: self.lenses.of(photo) }
     }

@@ -9,7 +9,6 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Commands that install ffmpeg.
 pub const INSTALL_FFMPEG: &str = "`apt install ffmpeg` on Debian and Ubuntu, `brew install ffmpeg` on macOS, `dnf install \
     ffmpeg-free` on Fedora, `winget install ffmpeg` on Windows";
 /// Time between two checks of a program.
@@ -57,7 +56,6 @@ impl Drop for Running {
     }
 }
 
-/// Why a program could not be started.
 pub fn not_started(program: &str, error: &std::io::Error) -> String {
     match error.kind() {
         ErrorKind::NotFound => format!("needs {program}, which is not installed"),
@@ -65,7 +63,6 @@ pub fn not_started(program: &str, error: &std::io::Error) -> String {
     }
 }
 
-/// Result of a program.
 pub struct LoggedOutput {
     pub status: ExitStatus,
     /// Last lines of its output, without empty ones.

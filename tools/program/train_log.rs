@@ -15,7 +15,6 @@ const ARENAS: [&str; 9] =
 const COLUMNS: &str = "iteration,loss,psnr,gaussians,ms,skipped";
 /// Column of the mean PSNR over the tracked views.
 const TRACKED: &str = "tracked_psnr";
-/// Name of the log in a model folder.
 pub const LOG_FILE: &str = "train_log.csv";
 /// Largest number of lines that wait in memory.
 const FLUSH_INTERVAL: u32 = 100;

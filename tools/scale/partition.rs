@@ -173,7 +173,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Inputs of a division.
 struct DivisionInputs<'a> {
     coarse: &'a Model,
     gaussians: &'a Gaussians,

@@ -5,8 +5,7 @@ use super::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_demo_scene::city::{self, City};
-use ashsplat_demo_scene::raycast;
-use ashsplat_demo_scene::{Scene, View};
+use ashsplat_demo_scene::{Scene, View, raycast};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::transforms::opengl_rows;
 use ashsplat_files::{Photo, ply};
@@ -98,7 +97,6 @@ pub struct Choices {
 }
 
 impl Choices {
-    /// Refuses choices that contradict each other.
     pub fn check(&self) -> Result<()> {
         if self.lens != Lens::Pinhole && self.layout == Layout::NerfSynthetic {
             let problem = "is not for --layout nerf-synthetic, which has angles of view only";

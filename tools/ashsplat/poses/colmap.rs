@@ -127,7 +127,6 @@ impl Colmap {
     }
 }
 
-/// Inputs of a stage.
 #[derive(Clone, Debug)]
 pub struct Job {
     pub database: PathBuf,
@@ -154,7 +153,6 @@ fn chosen(option: &Option<String>, value: impl Into<OsString>) -> Vec<OsString> 
     option.iter().map(OsString::from).zip([value.into()]).flat_map(|(name, value)| [name, value]).collect()
 }
 
-/// Which photographs are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Matcher {
     /// Each with every other.
@@ -164,7 +162,6 @@ pub enum Matcher {
 }
 
 impl Matcher {
-    /// Unit of COLMAP's progress while it matches.
     pub fn unit(self) -> &'static str {
         match self {
             Matcher::Exhaustive => "blocks of pairs",
@@ -180,7 +177,6 @@ impl Matcher {
     }
 }
 
-/// Progress of a stage by COLMAP's output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColmapProgress {
     /// Finished steps, and all steps.

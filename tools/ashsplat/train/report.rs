@@ -325,7 +325,6 @@ fn settings(settings: &Settings) -> Result<String> {
     Ok(out)
 }
 
-/// Reports that the training is already complete.
 pub fn print_complete(settings: &Settings) -> Result<()> {
     outln!("{} is trained to its end already", settings.data.model_path.display());
     Ok(())

@@ -23,7 +23,6 @@ pub struct Part {
 }
 
 impl Part {
-    /// True if the part is the whole photo.
     pub fn is_whole(&self) -> bool {
         self.columns == [0, self.of[0]] && self.rows == [0, self.of[1]]
     }

@@ -9,7 +9,6 @@ use tokio::sync::oneshot;
 
 /// Most waiting requests of one client; more are refused.
 const MAX_WAITING: usize = 24;
-/// Idle clients that are remembered.
 const MAX_REMEMBERED: usize = 64;
 /// Longest wait of a request.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -21,7 +20,6 @@ pub struct Client {
     pub page: Option<u64>,
 }
 
-/// A budget and its waiting clients.
 #[derive(Clone)]
 pub struct Queue(Arc<Mutex<State>>);
 
@@ -109,7 +107,6 @@ impl Queue {
 }
 
 impl State {
-    /// Removes requests whose connection is closed.
     fn remove_closed(&mut self) {
         for jobs in self.clients.values_mut() {
             jobs.waiting.retain(|(_, grant)| !grant.is_closed());

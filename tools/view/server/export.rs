@@ -53,7 +53,7 @@ pub async fn export(
     let ((folder, path), permit) =
         made(&state, &connection, &uri, move |options, scene| options.write(scene, format)).await?;
     // Both last until the file is sent.
-    let body = files::body_of(&path, (folder, permit)).ok_or(StatusCode::NOT_FOUND)?;
+    let body = files::body(&path, (folder, permit)).ok_or(StatusCode::NOT_FOUND)?;
     let kind = [
         (header::CONTENT_TYPE, "application/octet-stream"),
         (header::CONTENT_DISPOSITION, "attachment"),
