@@ -75,7 +75,6 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Least number of photographs for a scene.
 const MIN_PHOTOS: usize = 3;
 /// Largest number of damaged photographs that are named.
 const MAX_REPORTED: usize = 10;
@@ -168,7 +167,6 @@ impl Arguments {
         }
     }
 
-    /// Refuses options that would have no effect.
     fn check(&self, source: &Source) -> Result<()> {
         let unused = [("--frames", self.frames.is_some()), ("--every", self.every.is_some())];
         let unused = unused.iter().find(|(_, given)| *given);

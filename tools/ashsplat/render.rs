@@ -260,7 +260,6 @@ impl Arguments {
         BudgetedTree::new(tree, budget, self.device.host.reading(self.look.drop_invalid))
     }
 
-    /// The requested exposure and lens effects.
     fn appearance(&self, model: &Model) -> Result<Appearance> {
         let exposure = |name: &String| {
             let read = |file: &Path| exposure_json::read(file);

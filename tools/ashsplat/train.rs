@@ -324,7 +324,6 @@ pub struct Run {
     results: usize,
     /// Weights of LPIPS for the last test.
     lpips: Vec<Weights>,
-    /// Number of Gaussians after the last iteration.
     pub gaussians: u32,
     non_finite: u64,
     effect: Effect,
@@ -334,7 +333,6 @@ pub struct Run {
     skipped: u32,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
-    /// Iteration of the last saved scene.
     saved: Option<u32>,
     checkpointed: Option<u32>,
     /// Scene or checkpoint that could not be saved yet.

@@ -44,7 +44,6 @@ pub struct Plan {
     pub seed: u64,
 }
 
-/// A plan on a device.
 pub struct PlannedWork<'a> {
     context: &'a Context,
     plan: &'a Plan,

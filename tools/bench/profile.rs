@@ -94,7 +94,6 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Default number of measured iterations.
     const FRAMES: u32 = 20;
     /// Default number of iterations before the measured ones.
     const WARMUP: u32 = 3;

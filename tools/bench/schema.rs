@@ -65,7 +65,6 @@ pub struct Device {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Requested number of measured iterations.
     pub iterations: u32,
     /// Uncounted iterations before them.
     pub warmup: u32,
@@ -104,7 +103,6 @@ pub struct Run {
     /// "render-shared" ("draw-…") if both forms of blending are measured.
     pub name: String,
     pub workload: Workload,
-    /// Measured iterations.
     pub iterations: u32,
     /// Wall time of an iteration, with every command timed.
     pub wall_ms: Spread,

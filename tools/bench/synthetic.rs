@@ -18,7 +18,6 @@ const FLOATER_SHARE: f32 = 0.02;
 /// Median of the largest σ · √count / mean side.
 const DENSITY: f32 = 1.65;
 
-/// An ellipsoid that Gaussians lie on.
 struct Object {
     center: Vec3,
     half_axes: Vec3,

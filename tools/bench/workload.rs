@@ -132,7 +132,6 @@ impl Storage {
 pub struct Scene {
     pub gaussians: Gaussians,
     pub camera: Camera,
-    /// The data set's photo of the view.
     pub view: Option<TrainView>,
     pub scene_extent: f32,
     pub storage: Storage,
@@ -262,7 +261,6 @@ fn overview(gaussians: &Gaussians) -> Camera {
 }
 
 impl Scene {
-    /// Refuses a scene that cannot be rendered.
     fn checked(self) -> Result<Self> {
         if self.gaussians.is_empty() {
             return Err(Error::argument("scene", "has no Gaussians; give --gaussians 1 or more"));

@@ -61,7 +61,6 @@ impl HostTexture {
         ForeignImage { image, format, flags, usage, samples, size, mip_level: 0, layer: 0 }
     }
 
-    /// Records a change of layout.
     pub fn barrier(&self, host: &Host, commands: vk::CommandBuffer, from: Use, to: Use) {
         let barriers = [vk::ImageMemoryBarrier2::default()
             .src_stage_mask(from.1)
@@ -120,7 +119,6 @@ fn whole(aspect_mask: vk::ImageAspectFlags) -> vk::ImageSubresourceRange {
 /// Layout, stages and accesses of an image at some point.
 pub type Use = (vk::ImageLayout, vk::PipelineStageFlags2, vk::AccessFlags2);
 
-/// A buffer in mapped memory.
 pub struct HostBuffer {
     pub raw: vk::Buffer,
     memory: vk::DeviceMemory,

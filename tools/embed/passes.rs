@@ -262,7 +262,6 @@ struct PassInfo<'a> {
     shaders: [&'a [u8]; 2],
     filter: vk::Filter,
     push: Option<(vk::ShaderStageFlags, u32)>,
-    /// Formats of the attachments.
     color: Option<vk::Format>,
     depth: Option<vk::Format>,
 }

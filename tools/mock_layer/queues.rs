@@ -44,7 +44,6 @@ impl Submissions {
         result
     }
 
-    /// Adds a submission of the program.
     fn add(&mut self, state: &DeviceState, index: QueueIndex, mut submission: Submission) {
         (submission.index, submission.is_late) = (index, state.machine.holds(index.0));
         if state.machine.forgets(index.0) {

@@ -56,7 +56,6 @@ pub struct DatasetOfBlocks {
     pub resolution: i32,
     pub orientation: String,
     pub undistort: bool,
-    /// Use of the photos' alpha channels.
     pub alpha: String,
     /// Turn of the coarse model's data set.
     pub level: String,

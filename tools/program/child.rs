@@ -11,7 +11,6 @@ use std::time::Duration;
 
 pub const INSTALL_FFMPEG: &str = "`apt install ffmpeg` on Debian and Ubuntu, `brew install ffmpeg` on macOS, `dnf install \
     ffmpeg-free` on Fedora, `winget install ffmpeg` on Windows";
-/// Time between two checks of a program.
 const POLL: Duration = Duration::from_millis(20);
 /// Checks of `stop` after a program failed: Ctrl-C on a terminal also ends the program, perhaps before this one
 /// notices.

@@ -195,7 +195,6 @@ impl Settings {
         Ok(Settings { data, train: all.try_into().map_err(message)? })
     }
 
-    /// The settings dump for `--config`.
     pub fn to_toml(&self) -> Result<String> {
         let problem = |e: toml::ser::Error| Error::argument("settings", e.to_string());
         let data = toml::to_string(&self.data).map_err(problem)?;

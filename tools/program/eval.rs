@@ -43,7 +43,6 @@ pub struct SceneSize {
 #[derive(Clone, Default)]
 pub struct Evaluation {
     pub views: Vec<ViewResult>,
-    /// Names of the LPIPS that were measured.
     pub measures: Vec<&'static str>,
     pub scene: Option<SceneSize>,
     /// The same views with cameras aligned to the scene, if training optimised the poses.
@@ -172,7 +171,6 @@ impl Pictures {
         }
     }
 
-    /// The first error of saving, if any.
     pub fn saved(self) -> Result<()> {
         self.saved
     }

@@ -101,7 +101,6 @@ pub fn heat(share: f64) -> [u8; 3] {
 
 const BINS: usize = 40;
 
-/// Draws a histogram of the finite values.
 pub fn histogram(out: &mut String, name: &str, values: &[f64]) {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for &value in values.iter().filter(|v| v.is_finite()) {

@@ -84,7 +84,6 @@ pub fn checkpoint_path(folder: &Path, iteration: u32) -> PathBuf {
     folder.join(format!("chkpnt{iteration}.{CHECKPOINT_EXTENSION}"))
 }
 
-/// The folder of all saved iterations.
 pub const POINT_CLOUDS: &str = "point_cloud";
 
 fn is_tiles(path: &Path) -> bool {

@@ -60,7 +60,6 @@ pub struct TrainProgress {
     last_line: Instant,
     /// True once [`TrainProgress::first_estimate`] was given.
     estimated: bool,
-    /// The last measurement and its iteration.
     psnr: Option<(f64, u32)>,
 }
 

@@ -141,7 +141,6 @@ fn check(path: &Path) -> Result<()> {
     }
 }
 
-/// The text of a regular file.
 fn read(path: &Path) -> Result<String> {
     String::from_utf8(regular_file::read(path, 2)?).map_err(|_| Error::input(path, "is not text", ""))
 }

@@ -90,7 +90,6 @@ impl Page {
         }
     }
 
-    /// The next message of a type.
     pub fn wait_for(&mut self, kind: &str) -> Result<Value> {
         self.until_message(kind, |_| true)
     }

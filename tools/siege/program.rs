@@ -13,7 +13,6 @@ use std::time::{Duration, Instant};
 
 /// Time until the program must be ready.
 const READY: Duration = Duration::from_secs(60);
-/// Interval between checks of its memory.
 const WATCH: Duration = Duration::from_millis(5);
 
 #[derive(Clone, Default)]
@@ -43,7 +42,6 @@ fn unshare() -> Command {
 pub struct Ending {
     /// None after a signal.
     pub code: Option<i32>,
-    /// Its stderr.
     pub errors: String,
 }
 

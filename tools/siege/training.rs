@@ -84,7 +84,6 @@ impl Training {
         })
     }
 
-    /// A page that has paused the training.
     pub fn held(&self) -> Result<Page> {
         let mut page = Page::open(&self.host)?;
         page.hold()?;

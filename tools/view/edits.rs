@@ -34,7 +34,6 @@ pub struct Edits {
     states: Vec<u8>,
     done: VecDeque<Step>,
     undone: Vec<Step>,
-    /// Number of edits that were applied.
     revision: u64,
     /// Figures for the pages: numbers of Gaussians that are `selected`, `hidden` and `deleted`, steps to `undo` and `redo`, and the
     /// `revision`, a number that each edit raises.

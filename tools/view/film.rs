@@ -16,7 +16,6 @@ const MAX_FRAMES: u32 = 3000;
 /// Widest GIF, pixels: 8 bits of colour look no better in a larger one.
 const GIF_WIDTH: u32 = 640;
 
-/// A film whose frames are being rendered.
 pub struct Film {
     pub client: u64,
     pub request: FilmRequest,
@@ -57,7 +56,6 @@ impl Film {
         Ok(Some(json!({ "type": "film", "done": self.done, "total": self.cameras.len() })))
     }
 
-    /// Removes the files that this film wrote.
     pub fn discard(&self) {
         std::fs::remove_dir_all(&self.frames).ok();
         std::fs::remove_file(self.frames.with_extension("json")).ok();

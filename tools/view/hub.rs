@@ -67,7 +67,6 @@ struct Client {
     view: Option<ViewRequest>,
     /// True if the camera or the scene has changed since the last frame.
     stale: bool,
-    /// True if a frame is under way.
     in_flight: bool,
     picks: VecDeque<Pick>,
     edits: VecDeque<Edit>,
@@ -90,7 +89,6 @@ struct State {
     /// True if the film in progress is cancelled.
     film_cancelled: bool,
     film_files: BTreeSet<String>,
-    /// First message to every page.
     greeting: String,
     /// The scene's `run` in this message.
     run: String,
@@ -134,7 +132,6 @@ impl Hub {
         self.change(|state| state.status = Some(Box::new(status)));
     }
 
-    /// True if another page may join.
     pub fn accepts_pages(&self) -> bool {
         self.pages() < MAX_PAGES
     }

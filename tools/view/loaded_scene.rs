@@ -37,7 +37,6 @@ pub struct LoadedScene {
     pub gaussians: Gaussians,
     /// Coordinate frame of Gaussians and cameras within their files' coordinates.
     pub frame: WorldFrame,
-    /// Render settings that it was trained with.
     pub base: RenderSettings,
     pub cameras: Vec<NamedCamera>,
     pub photos: Option<Arc<Photos>>,
@@ -78,7 +77,6 @@ pub struct OpenScenes {
 pub struct Streamed {
     pub tree: Arc<Tree>,
     pub read: ReadOptions,
-    /// Most Gaussians of a picture.
     pub budget: usize,
     /// Tiles whose links lead out of this folder are not read.
     pub within: Option<PathBuf>,
@@ -325,7 +323,6 @@ impl LoadedScene {
         (Orbit { up: self.up.unwrap_or(orbit.up), ..orbit }, start)
     }
 
-    /// First message to a page.
     pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
         let (orbit, start) = self.first_view();
         let statistics = self.gaussians.statistics();

@@ -9,7 +9,6 @@ use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// The scenes that pages may open.
 pub struct Openings {
     /// Pages may name paths in this folder or below; none: no paths.
     folder: Option<PathBuf>,

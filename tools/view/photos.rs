@@ -41,7 +41,6 @@ pub enum Size {
 pub enum Refusal {
     /// No photo has this number.
     Unknown,
-    /// Too many requests.
     Busy,
     Problem(String),
 }

@@ -9,7 +9,6 @@ use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-/// Most pixels of a requested picture.
 pub const MAX_PIXELS: u64 = 3840 * 2400;
 
 #[derive(Clone, Debug, Deserialize)]

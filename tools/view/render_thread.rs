@@ -24,7 +24,6 @@ const MAX_ASSEMBLED: usize = 2;
 /// Pause before a film checks again for its next frame's tiles: pages are served meanwhile.
 const TILE_WAIT: Duration = Duration::from_millis(5);
 
-/// Serves pages with pictures of any scene.
 pub struct RenderThread {
     hub: Arc<Hub>,
     /// Render settings that the scene was trained with.

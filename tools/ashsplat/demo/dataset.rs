@@ -28,7 +28,6 @@ const FOV_X: f32 = 0.96;
 const VIEWS_PER_CIRCLE: u32 = 20;
 /// Heights of the two circles, as angles above the terrace, radians.
 const ELEVATIONS: [f32; 2] = [0.27, 0.72];
-/// Distance of the cameras to their target.
 const DISTANCE: f32 = 4.0;
 /// Target of the cameras: the middle of the group.
 const TARGET: Vec3 = vec3(0.0, 0.0, 0.45);

@@ -31,7 +31,6 @@ pub struct Cameras<'a> {
     pub stop: &'a AtomicBool,
     pub photos: &'a PhotoFiles,
     pub infos: &'a [PhotoInfo],
-    /// True if COLMAP may use a GPU.
     pub gpu: bool,
 }
 

@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicBool;
 
-/// Commands that install COLMAP.
 const INSTALL: &str = "`apt install colmap` on Debian and Ubuntu, `brew install colmap` on macOS, the ZIP of \
                        https://github.com/colmap/colmap/releases on Windows, elsewhere `conda install -c conda-forge colmap`; \
                        --colmap gives its path";

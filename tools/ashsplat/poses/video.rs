@@ -61,7 +61,6 @@ fn intervals(video: &Video, seconds: f64) -> usize {
 pub struct Reader<'a> {
     pub program: &'a OsStr,
     pub path: &'a Path,
-    /// Memory budget of frames.
     pub max_bytes: u64,
     pub stop: &'a AtomicBool,
 }
@@ -227,7 +226,6 @@ impl Rate {
         format!("fps={:.6},scale=in_color_matrix=auto,format=rgb24", self.per_second)
     }
 
-    /// The interval of a frame.
     fn interval(&self, index: usize, count: usize) -> usize {
         let share = index as f64 / (self.per_second * self.seconds);
         ((share * count as f64 + 1e-6) as usize).min(count - 1)

@@ -173,7 +173,6 @@ impl Workspace {
         remove(&self.folder)
     }
 
-    /// Removes everything of a failed run.
     pub fn abandon(self) {
         remove(&self.folder).ok();
         // A folder with a file of another program stays.

@@ -90,7 +90,6 @@ pub struct Views {
     pub cameras: Vec<NamedCamera>,
     /// Lens of each photograph, which the arguments may have replaced in its camera; empty for orbits.
     pub lenses: Vec<PhotoLens>,
-    /// A note on the choice of views.
     pub note: Option<String>,
 }
 

@@ -23,7 +23,6 @@ const PASSING_FILE: &str = "passing_checkpoints";
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StartFrom {
-    /// The newest checkpoint of the model folder.
     Latest,
     /// The newest checkpoint, or a new start without one: for schedulers that retry.
     Auto,

@@ -53,7 +53,6 @@ fn share(text: &str) -> Result<f64, String> {
 }
 
 impl LiveArguments {
-    /// True if pages also show the photos.
     pub fn wants_photos(&self) -> bool {
         self.view.is_some()
     }
@@ -72,7 +71,6 @@ impl LiveArguments {
 pub struct Port {
     listener: TcpListener,
     serve: ServeArguments,
-    /// See [`LiveArguments`].
     share: f64,
 }
 
@@ -87,7 +85,6 @@ struct TrainRequest {
     stop: bool,
 }
 
-/// The viewers of a training.
 pub struct Live {
     render_thread: RenderThread,
     hub: Arc<Hub>,

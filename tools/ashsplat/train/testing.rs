@@ -13,7 +13,6 @@ use ashsplat_program::model::point_cloud_path;
 use ashsplat_program::progress::thousands;
 use std::path::PathBuf;
 
-/// Result of the test after an iteration.
 pub struct Tested {
     pub(super) iteration: u32,
     pub(super) gaussians: u32,

@@ -20,7 +20,6 @@ const MAX_INTERVAL: u32 = 100;
 /// the PSNR is some decibels lower for a while, and would be shown until the next point.
 const SETTLING: u32 = 50;
 
-/// Parses a share of training's time.
 pub(super) fn share(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|&share| share == 0.0 || (0.001..=0.9).contains(&share));
     number.ok_or_else(|| "expected 0 or a number from 0.001 to 0.9".into())

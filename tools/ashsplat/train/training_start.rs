@@ -21,7 +21,6 @@ use std::path::Path;
 #[derive(Default)]
 pub struct RunStart {
     start: Option<Box<ResumePoint>>,
-    /// Gaussians of the file `--init`.
     scene: Option<Scene>,
     /// The scene after an exchange of blocks, if the depths of the first scene are needed too.
     exchanged: Option<Scene>,
@@ -36,7 +35,6 @@ pub struct InitialGaussians {
     /// The trained Gaussians; `None` if they come from a checkpoint.
     pub trained: Option<Gaussians>,
     pub block: Option<SceneBlock>,
-    /// The points from which they were made.
     pub points: Option<PointCloud>,
 }
 

@@ -45,7 +45,6 @@ mod reloading {
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::time::{Duration, Instant, SystemTime};
 
-    /// Interval between checks of the files.
     const INTERVAL: Duration = Duration::from_millis(100);
     /// Number of iterations of each measurement: few, so that the answer comes at once.
     const FRAMES: u32 = 7;

@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 /// Name of the note in the model folder.
 pub const RESULT_FILE: &str = "block.json";
 
-/// A trained block.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BlockNote {

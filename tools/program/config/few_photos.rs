@@ -15,7 +15,6 @@ pub struct DefaultsInput<'a> {
     photos: Option<usize>,
     /// Settings of the checkpoint from which a training continues.
     continued: Option<&'a TrainSettings>,
-    /// SH degree of the start.
     pub(super) sh_degree: u32,
 }
 

@@ -25,7 +25,6 @@ pub struct Queue(Arc<Mutex<State>>);
 
 struct State {
     free: u32,
-    /// Largest share of one client.
     max_share: u32,
     clients: BTreeMap<Client, Jobs>,
     turns: u64,
@@ -35,7 +34,6 @@ struct State {
 #[derive(Default)]
 struct Jobs {
     waiting: VecDeque<(u32, oneshot::Sender<Permit>)>,
-    /// Its current share of the budget.
     held: u32,
     /// Turn in which it was served last.
     served: u64,
@@ -76,7 +74,6 @@ impl Queue {
         tokio::time::timeout(PATIENCE, permit).await.ok()?.ok()
     }
 
-    /// Gives the free budget to waiting clients.
     fn serve(&self) {
         loop {
             let Some((grant, permit)) = self.next() else { return };

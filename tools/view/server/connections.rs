@@ -19,7 +19,6 @@ use tokio::net::{TcpListener, TcpStream};
 const PAUSE: Duration = Duration::from_millis(100);
 const MAX_HEADERS: usize = 64 << 10;
 
-/// Accepts and serves connections for ever.
 pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
     let connections = Arc::new(OpenConnections::new(limits));
     loop {

@@ -104,7 +104,6 @@ fn speed(rows: &Rows) -> Vec<(f64, f64)> {
     parts.map(|(iterations, ms)| (mean(iterations), 1e3 / mean(ms).max(1e-3))).collect()
 }
 
-/// Draws a curve up to iteration `end`.
 fn svg(curve: &Curve, end: f64) -> String {
     let bins = bins(&curve.points);
     let mut out = format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" data-unit=\"{}\">\n", curve.unit);
@@ -206,7 +205,6 @@ impl Axis {
     }
 }
 
-/// Draws the marks of both axes.
 fn grid(out: &mut String, x_axis: &Axis, y_axis: &Axis) {
     for value in y_axis.marks() {
         let y = BOTTOM - (BOTTOM - TOP) * y_axis.share(value);

@@ -43,7 +43,6 @@ impl KernelTimes {
         }
     }
 
-    /// Reads the times after an iteration.
     pub fn after(&mut self, iteration: u32) {
         let Some(profile) = self.profile.as_ref().filter(|_| iteration % INTERVAL == OFFSET) else { return };
         self.context.set_profile(None);

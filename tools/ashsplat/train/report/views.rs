@@ -20,7 +20,6 @@ pub fn worst_first(views: &[ViewResult]) -> Vec<usize> {
     order
 }
 
-/// Writes a row of the contact sheet.
 pub fn row(out: &mut String, view: &View, frame: &Frame, result: &ViewResult) -> Result<()> {
     let (photo, mask) = (view.photo.photo()?, view.photo.mask()?);
     let counts = |i: usize| mask.as_ref().is_none_or(|mask| mask[i] != 0);
@@ -60,7 +59,6 @@ fn error(frame: &Frame, photo: &[[f32; 3]], counts: impl Fn(usize) -> bool) -> P
     Photo { width: frame.width, height: frame.height, rgb }
 }
 
-/// Legend of the error's colours.
 pub fn key() -> String {
     let colors: Vec<String> = (0..=4)
         .map(|i| {
