@@ -82,7 +82,7 @@ pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitC
     });
     match read.map_err(|error| error.format(&mut definition)) {
         Ok(line) => Ok(line.command),
-        Err(error) if is_request(error.kind()) => {
+        Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
             // A closed pipe (`ashsplat --help | head`) is not a failure.
             output::note(error.print());
             Err(match output::check_stdout() {
@@ -104,10 +104,6 @@ pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitC
 fn max_host_memory(matches: &ArgMatches) -> Option<u64> {
     let own = matches.try_get_one::<u64>("max_host_memory").ok().flatten().copied();
     own.or_else(|| max_host_memory(matches.subcommand()?.1))
-}
-
-fn is_request(kind: ErrorKind) -> bool {
-    matches!(kind, ErrorKind::DisplayHelp | ErrorKind::DisplayVersion)
 }
 
 /// Clap's message up to its first empty line, as one line.

@@ -161,7 +161,6 @@ fn similarity(steps: &[Step]) -> Result<Similarity, String> {
     Ok(Similarity::of_angles(rotate.unwrap_or_default(), scale, translate.unwrap_or_default()))
 }
 
-/// Parses two opposite corners.
 fn parse_box(text: &str) -> Result<[DVec3; 2], String> {
     let corners = numbers(text).filter(|numbers: &[f64; 6]| !numbers.iter().any(|v| v.is_nan()));
     let [a, b, c, x, y, z] = corners.ok_or("expected six numbers with commas between them")?;

@@ -171,7 +171,6 @@ fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
     Ok(Protocol { appearances: Appearances::read(folder)?, halves: held_out.collect() })
 }
 
-/// Indices of the measured views.
 fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec<usize>> {
     let held_out = gallery.held_out();
     let chosen: Vec<usize> = (0..held_out.len()).filter(|&index| all || held_out[index]).collect();
@@ -183,7 +182,6 @@ fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec
     Ok(chosen)
 }
 
-/// Prints an evaluation as a table or as JSON.
 fn print(json: bool, evaluation: &Evaluation, device: &str) {
     let scene = evaluation.scene;
     if json {
@@ -232,7 +230,6 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
     }
 }
 
-/// The views of an evaluation.
 fn json_of(evaluation: &Evaluation) -> Vec<Value> {
     let view = |view: &ViewResult| {
         let mut value: Map<String, Value> =

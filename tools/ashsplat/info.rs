@@ -229,7 +229,6 @@ fn corners_json([min, max]: [DVec3; 2]) -> Value {
     json!({ "min": min.to_array(), "max": max.to_array() })
 }
 
-/// Statistics of a set of Gaussians.
 struct Summary {
     count: usize,
     sh_degree: u32,
@@ -297,7 +296,6 @@ impl Summary {
     }
 }
 
-/// Counts in intervals of equal width.
 struct Histogram {
     low: f32,
     high: f32,

@@ -64,7 +64,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Converts depths to source units.
     report.samples.iter_mut().for_each(|sample| sample.depth *= scene.frame.unit as f32);
     if arguments.json {
-        print_json(&report)
+        let samples = output::samples(&report);
+        let all = json!({ "samples": samples, "color": report.color, "transmittance": report.transmittance });
+        outln!("{all:#}");
     } else {
         print_table(&report)
     }
@@ -111,12 +113,4 @@ fn print_table(report: &PixelReport) {
 fn triple(color: [f32; 3]) -> String {
     let [r, g, b] = color;
     format!("{r:.4} {g:.4} {b:.4}")
-}
-
-fn print_json(report: &PixelReport) {
-    let samples = output::samples(report);
-    outln!(
-        "{:#}",
-        json!({ "samples": samples, "color": report.color, "transmittance": report.transmittance })
-    );
 }

@@ -26,7 +26,6 @@ use ashsplat_program::output;
 use ashsplat_program::session::INTERRUPTED;
 use std::process::ExitCode;
 
-/// Exit code of every failure.
 const FAILURE: u8 = 2;
 
 fn main() -> ExitCode {

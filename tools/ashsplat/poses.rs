@@ -75,7 +75,6 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Least number of photographs for a scene.
 const MIN_PHOTOS: usize = 3;
 /// Largest number of damaged photographs that are named.
 const MAX_REPORTED: usize = 10;
@@ -117,11 +116,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let stop = session::stop_on_ctrl_c()?;
     let linked = !matches!(&source, Source::Photos(photos) if photos.in_place);
     Workspace::check(dataset, linked)?;
-    let prepared = arguments.prepare(&source, &stop)?;
-    arguments.note(&format!("{}; the data set is {}", prepared.summary, dataset.display()));
+    let (kind, summary) = arguments.prepare(&source, &stop)?;
+    arguments.note(&format!("{summary}; the data set is {}", dataset.display()));
     let mut workspace = Workspace::open(dataset)?;
     let gpu = colmap.cuda && !arguments.no_gpu;
-    let found = arguments.photographs(prepared.kind, &mut workspace, &stop).and_then(|(photos, infos)| {
+    let found = arguments.photographs(kind, &mut workspace, &stop).and_then(|(photos, infos)| {
         let cameras =
             Cameras { arguments, colmap: &colmap, stop: &stop, photos: &photos, infos: &infos, gpu };
         let found = cameras.find(&mut workspace)?;
@@ -131,7 +130,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Ok(found) => found,
         Err(error) => return Err(arguments.leave(workspace, error)),
     };
-    let images = match (photos.in_place, photos.is_extracted) {
+    let images = match (photos.in_place, photos.video) {
         (true, _) => None,
         (false, true) => Some(photos.folder.clone()),
         (false, false) => Some(arguments.link(&photos, &workspace)?),
@@ -147,16 +146,10 @@ struct PhotoFiles {
     names: Vec<String>,
     in_place: bool,
     /// True for frames of a video, in the folder of the unfinished work.
-    is_extracted: bool,
     video: bool,
 }
 
 /// The source after the checks that precede any writing.
-struct Prepared<'a> {
-    kind: Kind<'a>,
-    summary: String,
-}
-
 enum Kind<'a> {
     /// Photographs, with the names of the undamaged ones.
     Photos(&'a Photos, Vec<String>, Vec<PhotoInfo>),
@@ -174,7 +167,6 @@ impl Arguments {
         }
     }
 
-    /// Refuses options that would have no effect.
     fn check(&self, source: &Source) -> Result<()> {
         let unused = [("--frames", self.frames.is_some()), ("--every", self.every.is_some())];
         let unused = unused.iter().find(|(_, given)| *given);
@@ -186,8 +178,8 @@ impl Arguments {
         }
     }
 
-    /// Examines the photographs or the video.
-    fn prepare<'a>(&self, source: &'a Source, stop: &AtomicBool) -> Result<Prepared<'a>> {
+    /// Examines the photographs or the video. Also returns a summary.
+    fn prepare<'a>(&self, source: &'a Source, stop: &AtomicBool) -> Result<(Kind<'a>, String)> {
         match source {
             Source::Photos(photos) => {
                 let (count, folder) = (photos.names.len(), photos.folder.display());
@@ -211,7 +203,7 @@ impl Arguments {
                     false => format!("hard links to them go to {}", photos.dataset.join("images").display()),
                 };
                 let summary = format!("{count} photographs in {folder}; {place}");
-                Ok(Prepared { kind: Kind::Photos(photos, names, infos), summary })
+                Ok((Kind::Photos(photos, names, infos), summary))
             }
             Source::Video(path, _) => {
                 let video = self.reader(path, stop).probe()?;
@@ -231,7 +223,7 @@ impl Arguments {
                 }
                 let (seconds, frames) = (video.seconds, thousands(video.frames as u64));
                 let summary = format!("{} with {frames} frames in {seconds:.1} s", path.display());
-                Ok(Prepared { kind: Kind::Video(path, video, count), summary })
+                Ok((Kind::Video(path, video, count), summary))
             }
         }
     }
@@ -290,10 +282,7 @@ impl Arguments {
         let (path, video, count) = match kind {
             Kind::Photos(Photos { folder, in_place, .. }, names, infos) => {
                 let (folder, in_place) = (folder.clone(), *in_place);
-                return Ok((
-                    PhotoFiles { folder, names, in_place, is_extracted: false, video: false },
-                    infos,
-                ));
+                return Ok((PhotoFiles { folder, names, in_place, video: false }, infos));
             }
             Kind::Video(path, video, count) => (path, video, count),
         };
@@ -321,7 +310,7 @@ impl Arguments {
         names.sort();
         let size = names.first().map(|name| photo_size(folder.join(name))).transpose()?.unwrap_or_default();
         let infos = vec![PhotoInfo { size, lens: String::new() }; names.len()];
-        Ok((PhotoFiles { folder, names, in_place: false, is_extracted: true, video: true }, infos))
+        Ok((PhotoFiles { folder, names, in_place: false, video: true }, infos))
     }
 
     /// Cleans up after an unfinished run. Keeps COLMAP's log and what a second run can use.
@@ -334,7 +323,7 @@ impl Arguments {
         if interrupted {
             self.note(&format!(
                 "interrupted: the same command goes on from here ({})",
-                workspace.folder().display()
+                workspace.folder.display()
             ));
         }
         error
@@ -411,7 +400,6 @@ fn time(seconds: f64) -> String {
     if seconds < 60.0 { format!("{seconds:.1} s") } else { clock(seconds) }
 }
 
-/// Progress display of a stage.
 struct StageBar {
     bar: indicatif::ProgressBar,
     /// Steps that earlier runs have done.

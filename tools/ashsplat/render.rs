@@ -95,7 +95,6 @@ enum Format {
     Both,
 }
 
-/// Default frame rate of a film.
 const FILM_RATE: u32 = 30;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -237,7 +236,6 @@ fn learned_of<T: Copy>(
     })
 }
 
-/// The lens effects of each photo.
 fn lenses_by_photo(file: &Path) -> Result<BTreeMap<String, LensEffects>> {
     let lenses = LensFile::read(file)?;
     Ok(lenses.photos.keys().filter_map(|name| Some((name.clone(), lenses.of(name)?))).collect())
@@ -262,7 +260,6 @@ impl Arguments {
         BudgetedTree::new(tree, budget, self.device.host.reading(self.look.drop_invalid))
     }
 
-    /// The requested exposure and lens effects.
     fn appearance(&self, model: &Model) -> Result<Appearance> {
         let exposure = |name: &String| {
             let read = |file: &Path| exposure_json::read(file);

@@ -26,14 +26,13 @@ mod verify;
 use accounting::Effect;
 use ashsplat::frame::to_u32;
 use ashsplat::passes::lpips::Weights;
-use ashsplat::train::{StepReport, StrategyType, TrainSettings, Trainer};
+use ashsplat::train::{StrategyType, TrainSettings, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
 use ashsplat_program::args::{DeviceArguments, bytes};
 use ashsplat_program::blocks::job::Job;
 use ashsplat_program::blocks::result;
-use ashsplat_program::blocks::rounds::CurrentRound;
 use ashsplat_program::config::{DefaultsInput, Overrides, Settings, SettingsSources};
 use ashsplat_program::eval::read_weights;
 use ashsplat_program::lock::FolderLock;
@@ -187,8 +186,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let host = &arguments.device.host;
     let offload = arguments.offload.map(|size| size.unwrap_or_else(|| host.memory().limit()));
     let context = arguments.device.context_with(|options| options.offload = offload)?;
-    let mut initial =
-        RunStart::read(from.as_ref(), &settings, round.as_ref().and_then(CurrentRound::surroundings), host)?;
+    let mut initial = RunStart::read(
+        from.as_ref(),
+        &settings,
+        round.as_ref().and_then(|round| round.surroundings.as_deref()),
+        host,
+    )?;
     job.as_ref().map_or(Ok(()), |job| job.check_coarse(&settings.data.init))?;
     if writes && job.is_none() && initial.is_complete(&settings) {
         return print_complete(&settings);
@@ -234,7 +237,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .for_each(|line| errln!("{line}"));
     // The pages show whole photos.
     let gallery = arguments.live.wants_photos().then(|| gallery.with_whole_photos());
-    match initial.needs_points() {
+    match initial.needs_points {
         true => settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?,
         false => dataset.needs_no_points(),
     }
@@ -254,7 +257,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Freed here: a checkpoint is as large as everything that training keeps on the device.
     drop(initial);
     run.repeat(&arguments.device, arguments.photo_memory, arguments.offload);
-    run.track_within(arguments.eval_share);
+    run.tracking = Tracking::new(&run.views.test, &run.settings.train, arguments.eval_share);
     run.lpips = lpips;
     if let Some(round) = &round {
         run.stop_at_end_of(round);
@@ -267,7 +270,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let ended = job.as_ref().zip(round.as_ref()).filter(|_| !interrupted);
     ended.map_or(Ok(()), |(job, round)| run.note_end(job, round))?;
     outln!("written to {}", folder.display());
-    run.print_origin();
+    let DVec3 { x, y, z } = run.views.frame.origin;
+    if run.views.frame.origin != DVec3::ZERO {
+        outln!("the scene's origin is {x} {y} {z}: positions in point_cloud.ply are relative to it");
+    }
     if !interrupted && !arguments.quiet && round.is_none_or(|round| round.is_last()) {
         print_next_steps(&folder, run.views.held_out);
     }
@@ -292,7 +298,6 @@ fn warn_of_late_growth(settings: &TrainSettings) {
     }
 }
 
-/// Describes what is trained on which device.
 pub fn describe_start(dataset: &Dataset, context: &Context) -> String {
     let sizes = dataset.train.iter().map(|view| (view.camera.width, view.camera.height));
     let size = sizes.max().map_or_else(String::new, |(width, height)| format!(" of {width}x{height}"));
@@ -312,7 +317,6 @@ pub struct Run {
     log: TrainLog,
     first: Option<Cost>,
     total: Option<Cost>,
-    /// The tests so far.
     pub evaluations: Vec<Tested>,
     /// The views that are measured between tests.
     tracking: Tracking,
@@ -320,7 +324,6 @@ pub struct Run {
     results: usize,
     /// Weights of LPIPS for the last test.
     lpips: Vec<Weights>,
-    /// Number of Gaussians after the last iteration.
     pub gaussians: u32,
     non_finite: u64,
     effect: Effect,
@@ -330,20 +333,16 @@ pub struct Run {
     skipped: u32,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
-    /// Iteration of the last saved scene.
     saved: Option<u32>,
-    /// Iteration of the last checkpoint.
     checkpointed: Option<u32>,
     /// Scene or checkpoint that could not be saved yet.
     retries: SaveRetries,
     kernels: KernelTimes,
     /// Further arguments that are needed to continue with the same bits.
     repeated: String,
-    /// The iteration that it stops at.
     until: u32,
     /// True if it is one of several rounds.
     is_in_rounds: bool,
-    /// The viewers.
     live: Option<Live>,
     /// The last field, because it must be dropped last.
     _lock: FolderLock,
@@ -377,28 +376,9 @@ impl Run {
             None => TrainLog::create(&model.join(LOG_FILE))?,
             Some(_) => TrainLog::resume(&model.join(LOG_FILE), trainer.iteration())?,
         };
-        let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
-        if let Some(start) = start {
-            if continues {
-                start.keep(&model)?;
-            }
-            run.gaussians = to_u32(start.checkpoint().gaussians.len() as u64)?;
-            run.save_poses(run.started)?;
-        }
-        Ok(run)
-    }
-
-    fn new(
-        context: &Context,
-        settings: Settings,
-        trainer: Trainer,
-        (log, lock): (TrainLog, FolderLock),
-        views: Views,
-        quiet: bool,
-    ) -> Run {
         let tracking = Tracking::new(&views.test, &settings.train, tracking::SHARE);
         let until = settings.train.iterations;
-        Run {
+        let mut run = Run {
             progress: TrainProgress::new(trainer.iteration(), &settings.train, quiet),
             started: trainer.iteration(),
             log,
@@ -425,7 +405,15 @@ impl Run {
             is_in_rounds: false,
             live: None,
             _lock: lock,
+        };
+        if let Some(start) = start {
+            if continues {
+                start.keep(&model)?;
+            }
+            run.gaussians = to_u32(start.checkpoint.gaussians.len() as u64)?;
+            run.save_poses(run.started)?;
         }
+        Ok(run)
     }
 
     /// Trains to the end, or until Ctrl-C, for which it returns true. Scene and log are saved after a failure too.
@@ -454,22 +442,17 @@ impl Run {
         Ok(interrupted)
     }
 
-    /// Runs an iteration; some are timed kernel by kernel.
-    fn timed_step(&mut self) -> Result<StepReport> {
-        let iteration = self.trainer.iteration() + 1;
-        self.kernels.before(iteration);
-        let report = self.trainer.step();
-        self.kernels.after(iteration);
-        report
-    }
-
     fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
         if self.started == self.settings.train.iterations {
             // Training is complete; only the results that could not be saved are missing.
             self.keep(self.started, false, watch)?;
         }
         for _ in self.started..self.until {
-            let report = self.timed_step()?;
+            let iteration = self.trainer.iteration() + 1;
+            self.kernels.before(iteration);
+            let report = self.trainer.step();
+            self.kernels.after(iteration);
+            let report = report?;
             self.show(&report, stop, watch);
             let stopping = stop.load(Ordering::Relaxed);
             self.account(&report);
@@ -497,13 +480,5 @@ impl Run {
             kept?;
         }
         Ok(false)
-    }
-
-    /// Reports the origin of the scene file's positions, if it is not the data set's own.
-    fn print_origin(&self) {
-        let DVec3 { x, y, z } = self.views.frame.origin;
-        if self.views.frame.origin != DVec3::ZERO {
-            outln!("the scene's origin is {x} {y} {z}: positions in point_cloud.ply are relative to it");
-        }
     }
 }

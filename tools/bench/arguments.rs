@@ -50,7 +50,6 @@ pub struct OutputArguments {
 }
 
 impl OutputArguments {
-    /// Opens the device.
     pub fn context(&self) -> Result<Context> {
         self.device.context_with(|options| options.timestamps = !self.host_clock)
     }
@@ -60,7 +59,6 @@ impl OutputArguments {
         output::check(&[("--json", self.json.as_deref())])
     }
 
-    /// Writes the file.
     pub fn write(&self, report: &Report) -> Result<()> {
         self.json.as_ref().map_or(Ok(()), |path| output::write_json(path, report))
     }

@@ -31,16 +31,6 @@ impl Row {
         Self { run: run.to_owned(), scope: String::new(), kernel: what.to_owned(), calls: 1, a_us, b_us }
     }
 
-    /// B's median over A's.
-    pub fn ratio(&self) -> f64 {
-        self.b_us.median / self.a_us.median.max(1e-9)
-    }
-
-    /// Least and largest ratio that the two spreads allow.
-    pub fn ratio_range(&self) -> (f64, f64) {
-        (self.b_us.min / self.a_us.p90.max(1e-9), self.b_us.p90 / self.a_us.min.max(1e-9))
-    }
-
     /// Returns `Same` if the spreads overlap. A spread goes from the least to the 90th percentile, widened by drift and jitter.
     pub fn verdict(&self) -> Verdict {
         let slack = |time: f64| time * DRIFT + JITTER_US * f64::from(self.calls);
@@ -86,7 +76,9 @@ pub fn table(lines: &[Row]) -> String {
         "run", "stage", "kernel", "A µs", "B µs", "B/A", "range", "verdict"
     );
     for line in lines {
-        let (low, high) = line.ratio_range();
+        let Row { a_us: a, b_us: b, .. } = line;
+        // Least and largest ratio that the two spreads allow.
+        let (low, high) = (b.min / a.p90.max(1e-9), b.p90 / a.min.max(1e-9));
         let verdict = match line.verdict() {
             Verdict::Same => "same",
             Verdict::Slower => "SLOWER",
@@ -97,9 +89,9 @@ pub fn table(lines: &[Row]) -> String {
             line.run,
             line.scope,
             line.kernel,
-            line.a_us.median,
-            line.b_us.median,
-            line.ratio(),
+            a.median,
+            b.median,
+            b.median / a.median.max(1e-9),
             format!("{low:.2} to {high:.2}"),
         );
     }

@@ -12,7 +12,6 @@ use std::path::Path;
 /// The schema's name and version, first field of every file.
 pub const SCHEMA: &str = "ashsplat-static/1";
 
-/// Figures of the kernels from one device's compiler.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Compiled {
     /// [`SCHEMA`].
@@ -24,7 +23,6 @@ pub struct Compiled {
     pub pipelines: Vec<Pipeline>,
 }
 
-/// A kernel with its constants.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pipeline {
     pub kernel: String,
@@ -33,7 +31,6 @@ pub struct Pipeline {
     /// Subgroup size of the compilation; 0 if the driver does not say.
     pub subgroup_size: u32,
     pub workgroup_size: [u32; 3],
-    /// Specialization constants by name.
     pub constants: BTreeMap<String, String>,
     pub figures: Figures,
     /// All figures, under the driver's names.
@@ -52,7 +49,6 @@ pub struct Figures {
     pub fills: Option<f64>,
     /// Bytes of memory of an invocation: arrays and spills. NVIDIA's drivers may report spills only here.
     pub scratch_bytes: Option<f64>,
-    /// Shared memory of a workgroup.
     pub shared_bytes: Option<f64>,
     /// Subgroups that fit on a SIMD at a time; for NVIDIA, a quarter of the warps that fit on an SM.
     pub subgroups_per_simd: Option<f64>,
@@ -97,11 +93,6 @@ impl Figures {
             instructions: any(&["instructions", "instruction count"]),
             code_bytes: any(&["code size"]),
         }
-    }
-
-    /// True if any register was spilled.
-    pub fn has_spilled(&self) -> bool {
-        [self.spills, self.fills].into_iter().flatten().any(|count| count > 0.0)
     }
 }
 
@@ -250,7 +241,8 @@ pub fn beside(all: &[Compiled]) -> String {
                 None => " |".to_owned(),
                 Some((p, _)) => {
                     let f = &p.figures;
-                    let mut rest = match f.has_spilled() {
+                    let has_spilled = [f.spills, f.fills].into_iter().flatten().any(|count| count > 0.0);
+                    let mut rest = match has_spilled {
                         true => format!(", spills {}/{}", shown(f.spills), shown(f.fills)),
                         false => String::new(),
                     };

@@ -3,8 +3,7 @@
 use super::measure::{Iteration, Iterations, Measured, Measurement};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::traffic::{Counts, Traffic};
-use super::workload::Scene;
-use super::workload::Storage;
+use super::workload::{Scene, Storage};
 use super::{forms, synthetic};
 use ashsplat::frame::ScenePlan;
 use ashsplat::vk::{Context, Profile};
@@ -26,7 +25,6 @@ pub enum IterationKind {
 }
 
 impl IterationKind {
-    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Render => "render",
@@ -35,7 +33,6 @@ impl IterationKind {
     }
 }
 
-/// A frame or a step of a scene.
 #[derive(Clone)]
 pub struct Plan {
     pub what: IterationKind,
@@ -47,12 +44,10 @@ pub struct Plan {
     pub seed: u64,
 }
 
-/// A plan on a device.
 pub struct PlannedWork<'a> {
     context: &'a Context,
     plan: &'a Plan,
     runner: Runner,
-    /// Statistics of the last iteration.
     stats: IterationStats,
 }
 
@@ -123,7 +118,6 @@ impl<'a> PlannedWork<'a> {
         self.iterate()
     }
 
-    /// The forms that take turns.
     fn forms(&self) -> Vec<Blending> {
         if self.plan.forms.is_empty() { vec![self.blending()] } else { self.plan.forms.clone() }
     }
@@ -138,19 +132,11 @@ impl<'a> PlannedWork<'a> {
         (0..iterations).try_for_each(|_| self.iterate())
     }
 
-    /// Runs one iteration between the marks of a capture.
-    pub fn captured(&mut self) -> Result<()> {
-        let context = self.context;
-        context.capture(|| self.iterate())
-    }
-
-    /// Runs one iteration with every command timed.
     pub fn timed(&mut self, profile: &Profile) -> Result<Iteration> {
         let context = self.context;
         Iteration::timed(context, profile, || self.iterate())
     }
 
-    /// The picture of the scene in its current state.
     pub fn picture(&mut self) -> Result<Vec<[f32; 3]>> {
         let (camera, settings) = (&self.plan.scene.camera, RenderSettings::default());
         let frame = match &mut self.runner {
@@ -166,10 +152,13 @@ impl<'a> PlannedWork<'a> {
         let (name, workload, gaussians) = match &self.runner {
             Runner::Frame(_) => {
                 let name = if *reads_back { "render" } else { "draw" };
-                (name, scene.workload(&RenderSettings::default()), [g.len() as u32, stats.gaussians])
+                (name, scene.workload(&RenderSettings::default(), &[]), [g.len() as u32, stats.gaussians])
             }
             Runner::Step(trainer) => {
-                let workload = scene.training_workload(&trainer.render_settings(), *seed);
+                // Step sizes depend on the extent; the seed disturbs a scene that is trained on its own picture.
+                let disturbed_by = scene.view.is_none().then_some(*seed);
+                let more = format!("{} {disturbed_by:?}", scene.scene_extent);
+                let workload = scene.workload(&trainer.render_settings(), more.as_bytes());
                 ("train-step", workload, trained(stats.gaussians))
             }
         };
@@ -248,7 +237,6 @@ fn counts(
     Ok(counts)
 }
 
-/// Counts of a training step.
 pub fn step_counts(
     context: &Context,
     report: &StepReport,
@@ -272,7 +260,6 @@ pub fn result(
     measured.run(context, name, workload, (&traffic, copy))
 }
 
-/// The renderer of a scene.
 pub fn renderer(context: &Context, scene: &Scene) -> Result<Renderer> {
     let mut renderer = Renderer::new(context)?;
     renderer.upload_stored(&scene.gaussians, scene.storage.sh_storage)?;

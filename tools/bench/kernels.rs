@@ -3,7 +3,6 @@
 use ashsplat::kernels::visit_all;
 use ashsplat::vk::{ConstantInfo, Form, KernelInterface, KernelVisitor};
 
-/// A kernel and its shader.
 pub struct Kernel {
     pub name: &'static str,
     pub constants: &'static [ConstantInfo],
@@ -20,7 +19,6 @@ impl Kernel {
     }
 }
 
-/// Returns all kernels.
 pub fn all() -> Vec<Kernel> {
     struct All(Vec<Kernel>);
     impl KernelVisitor for All {

@@ -67,7 +67,6 @@ enum Benchmark {
     Suite(suite::Arguments),
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let frames = |a: &FrameArguments, what, both| {
         let plan = (a.iterations.get(), a.scene.synthetic.seed());

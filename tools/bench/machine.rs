@@ -83,7 +83,6 @@ pub fn device(context: &Context) -> Device {
     }
 }
 
-/// The [`VARIABLES`] that are set.
 pub fn environment() -> BTreeMap<String, String> {
     let set = |name: &&str| Some(((*name).to_owned(), std::env::var(name).ok()?));
     VARIABLES.iter().filter_map(set).collect()

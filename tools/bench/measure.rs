@@ -8,7 +8,6 @@ use ashsplat::vk::{Context, MemoryKind, Profile, Submission};
 use ashsplat_program::measure::process_seconds;
 use std::time::{Duration, Instant};
 
-/// Iterations of a measurement.
 #[derive(Clone, Copy)]
 pub struct Iterations {
     pub measured: u32,
@@ -17,7 +16,6 @@ pub struct Iterations {
     pub timed: bool,
 }
 
-/// One timed iteration.
 pub struct Iteration {
     pub begun: Instant,
     pub wall: Duration,
@@ -25,7 +23,6 @@ pub struct Iteration {
 }
 
 impl Iteration {
-    /// Runs an iteration with every command timed.
     pub fn timed(
         context: &Context,
         profile: &Profile,
@@ -41,14 +38,11 @@ impl Iteration {
     }
 }
 
-/// Measurements of a workload.
 #[derive(Default)]
 pub struct Measured {
     /// Iterations with every command timed.
     pub iterations: Vec<Iteration>,
-    /// Wall time of untimed iterations.
     pub untimed_ms: Option<Spread>,
-    /// Processor seconds of untimed iterations.
     pub cpu_seconds: Option<Spread>,
 }
 
@@ -126,7 +120,6 @@ impl<'a> Measurement<'a> {
         Ok(())
     }
 
-    /// Returns the measurements of all rounds.
     pub fn end(self) -> Measured {
         Measured {
             iterations: self.iterations,
@@ -159,12 +152,10 @@ impl Measured {
         }
     }
 
-    /// Wall time per iteration.
     pub fn wall_ms(&self) -> Spread {
         self.spread(|iteration| Some(iteration.wall.as_secs_f64() * 1e3)).unwrap_or_default()
     }
 
-    /// Time on the device per iteration.
     pub fn device_ms(&self) -> Option<Spread> {
         self.spread(|iteration| {
             iteration.submissions.iter().map(|s| s.nanoseconds.map(|ns| ns * 1e-6)).sum::<Option<f64>>()
@@ -251,7 +242,6 @@ impl Measured {
     }
 }
 
-/// All commands of an iteration.
 pub fn commands(iteration: &Iteration) -> impl Iterator<Item = &ashsplat::vk::CommandRecord> {
     iteration.submissions.iter().flat_map(|submission| &submission.commands)
 }
@@ -310,17 +300,13 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     }))
 }
 
-/// Invocations of the arithmetic measurement: many times a large device's lanes, or about 30 ms on a processor.
-fn arithmetic_results(context: &Context) -> u64 {
-    if context.limits().tuning.is_slow { 1 << 15 } else { 1 << 20 }
-}
-
 const ARITHMETIC_RUNS: u32 = 3;
 
 /// Measures multiply-adds on registers; none if the clock did not move.
 fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     let arithmetic = Arithmetic::new(context)?;
-    let count = arithmetic_results(context);
+    // Many times a large device's lanes, or about 30 ms on a processor.
+    let count = if context.limits().tuning.is_slow { 1 << 15 } else { 1 << 20 };
     let results = context.allocate("arithmetic", &[("results", 4 * count)], MemoryKind::Device)?;
     let run = || context.run("arithmetic", |r| arithmetic.record(r, &results[0]));
     run()?;

@@ -11,7 +11,6 @@ use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 use ashsplat::vk::{Buffer, Context, MemoryKind};
 use ashsplat::{Error, Result};
 
-/// Parameters of both primitives.
 #[derive(Clone, Copy)]
 pub struct Job<'a> {
     pub context: &'a Context,

@@ -94,7 +94,6 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Default number of measured iterations.
     const FRAMES: u32 = 20;
     /// Default number of iterations before the measured ones.
     const WARMUP: u32 = 3;
@@ -111,7 +110,6 @@ impl Arguments {
         self.warmup.unwrap_or(Self::WARMUP)
     }
 
-    /// Loads the scene.
     fn plan(&self) -> Result<Plan> {
         let what = self.what();
         let scene = Rc::new(self.scene.load(what == IterationKind::TrainStep, &self.device.host)?);
@@ -120,7 +118,7 @@ impl Arguments {
     }
 
     fn overrides(&self) -> Result<Vec<SpecOverride>> {
-        spec::parse_given(&self.spec)
+        spec::parse_all("--spec", self.spec.iter().map(String::as_str))
     }
 }
 
@@ -181,7 +179,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn capture(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<()> {
     let mut planned = PlannedWork::new(context, plan)?;
     planned.warm_up(arguments.warmup())?;
-    planned.captured()?;
+    context.capture(|| planned.iterate())?;
     outln!("one {} was marked as a capture", arguments.what().name());
     print_messages(context);
     arguments.device.report_validation(context);

@@ -11,7 +11,6 @@ use std::fmt;
 /// misunderstand new ones.
 pub const SCHEMA: &str = "ashsplat-bench/1";
 
-/// One result file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// [`SCHEMA`].
@@ -27,7 +26,6 @@ pub struct Report {
     pub runs: Vec<Run>,
 }
 
-/// The program that measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Program {
     pub version: String,
@@ -45,7 +43,6 @@ impl fmt::Display for Program {
     }
 }
 
-/// The machine that holds the device.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Host {
     pub system: String,
@@ -60,17 +57,14 @@ pub struct Device {
     pub driver: String,
     pub api_version: String,
     pub subgroup_size: u32,
-    /// Subgroup size of the heaviest kernels.
     pub heavy_subgroup_size: Option<u32>,
     /// Form of the kernels that ran, "gpu" or "processor".
     pub backend: Option<String>,
     pub limits: BTreeMap<String, f64>,
 }
 
-/// Settings of the measurement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Requested number of measured iterations.
     pub iterations: u32,
     /// Uncounted iterations before them.
     pub warmup: u32,
@@ -103,14 +97,12 @@ pub struct ArithmeticRate {
     pub clock: String,
 }
 
-/// Results of one workload.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Run {
     /// "scan", "sort", "render", "draw" (a frame that is not read back), "train-step" or "train". "render-regions" and
     /// "render-shared" ("draw-…") if both forms of blending are measured.
     pub name: String,
     pub workload: Workload,
-    /// Measured iterations.
     pub iterations: u32,
     /// Wall time of an iteration, with every command timed.
     pub wall_ms: Spread,
@@ -125,18 +117,15 @@ pub struct Run {
     /// Processor time of the whole process per untimed iteration: the true cost on a software device.
     pub cpu_seconds: Option<Spread>,
     pub kernels: Vec<KernelResult>,
-    /// Device memory by arena.
     pub memory: Vec<Arena>,
 }
 
 /// Parts of the mean wall time of an iteration; they add up to it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Split {
-    /// Mean wall time.
     pub wall_ms: f64,
     /// Sum of all commands on the device; null without timestamps.
     pub kernels_ms: Option<f64>,
-    /// Recording commands.
     pub recording_ms: f64,
     /// Handing commands to the driver.
     pub submitting_ms: f64,
@@ -146,7 +135,6 @@ pub struct Split {
     pub host_ms: f64,
 }
 
-/// Inputs of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Workload {
     /// "synthetic", or the files.
@@ -197,7 +185,6 @@ pub struct KernelResult {
     pub share_of_arithmetic: Option<f64>,
 }
 
-/// Device memory of one arena.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Arena {
     pub name: String,
@@ -225,7 +212,6 @@ impl Spread {
         Some(Self { min, median, p90, mean: values.iter().sum::<f64>() / n as f64 })
     }
 
-    /// Multiplies every value by a factor.
     pub fn times(self, factor: f64) -> Self {
         Self {
             min: self.min * factor,

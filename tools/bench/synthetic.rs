@@ -4,7 +4,7 @@
 
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
-use glam::{Mat3, Quat, Vec3, vec3};
+use glam::{Quat, Vec3, vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -12,14 +12,12 @@ use rand_chacha::ChaCha8Rng;
 const HALF_SIDES: Vec3 = vec3(1.0, 0.35, 1.0);
 /// Ellipsoids on the ground.
 const OBJECTS: usize = 40;
-/// Share of the Gaussians that lie on the ground.
 const GROUND_SHARE: f32 = 0.3;
 /// Share of the Gaussians that float anywhere, with any orientation.
 const FLOATER_SHARE: f32 = 0.02;
 /// Median of the largest σ · √count / mean side.
 const DENSITY: f32 = 1.65;
 
-/// An ellipsoid that Gaussians lie on.
 struct Object {
     center: Vec3,
     half_axes: Vec3,
@@ -130,7 +128,6 @@ impl Random {
     }
 }
 
-/// Unsorted 32-bit keys.
 pub fn keys(seed: u64, count: usize) -> Vec<u32> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     (0..count).map(|_| random.random()).collect()
@@ -146,8 +143,7 @@ pub fn disturbed(scene: &Gaussians, seed: u64) -> Gaussians {
     let mut random = Random(ChaCha8Rng::seed_from_u64(seed ^ 0x5eed));
     let mut scene = scene.clone();
     for (mean, scales) in scene.means.iter_mut().zip(&scene.log_scales) {
-        let rotated = Mat3::IDENTITY * random.normal3();
-        *mean = (Vec3::from(*mean) + 0.2 * scales[2].exp() * rotated).to_array();
+        *mean = (Vec3::from(*mean) + 0.2 * scales[2].exp() * random.normal3()).to_array();
     }
     for logit in &mut scene.opacity_logits {
         *logit = 0.9 * *logit + 0.1 * random.normal();

@@ -4,7 +4,6 @@ use super::schema::{Report, Run, Spread, Workload};
 use ashsplat_program::progress::thousands;
 use std::fmt::Write;
 
-/// Describes a workload in one line.
 pub fn describe(w: &Workload) -> String {
     let mut text = String::new();
     if let Some(elements) = w.elements {
@@ -124,7 +123,6 @@ fn one_run(out: &mut String, run: &Run) {
     let _ = writeln!(out, "  peak device memory, MiB: {}", arenas.collect::<Vec<_>>().join(", "));
 }
 
-/// Work per second.
 fn rate(run: &Run, seconds: f64) -> String {
     match run.workload.elements {
         Some(elements) => format!("{:.1} million elements/s", elements as f64 / seconds * 1e-6),

@@ -22,7 +22,6 @@ pub enum Task {
     Train(Box<Training>),
 }
 
-/// Default number of pairs to sort.
 pub const PAIRS: u32 = 1 << 22;
 /// Values to scan for each pair to sort: the scan is so fast that fewer would vanish in the cost of timing.
 pub const VALUES_PER_PAIR: u32 = 4;

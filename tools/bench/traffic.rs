@@ -8,7 +8,6 @@ use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity,
 use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
 use std::collections::HashMap;
 
-/// Bytes of a vec4.
 const VEC4: u64 = 16;
 /// Planes of a Gaussian that culling reads: mean and opacity, rotation, scales.
 const GEOMETRY_PLANES: u64 = 3;
@@ -20,7 +19,6 @@ const SPLAT_ROLES: [&str; 4] = ["mean2d_extent", "conic_opacity", "color_inverse
 const UNUSED_ROLES: [&str; 5] =
     ["cut_outs", "selection", "instance_gradients_d", "pose_sums", "parameter_gradients"];
 
-/// Counts of a frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
     pub gaussians: u32,
@@ -38,7 +36,6 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Adds the counts that a camera saw.
     pub fn with_stats(self, visible: u32, instances: u32) -> Self {
         Self { visible, instances, ..self }
     }
@@ -62,7 +59,6 @@ impl Traffic {
         Self { counts: None, all: none(), visible: none(), depth_sort: none(), tile_sort: none() }
     }
 
-    /// Traffic of a frame's kernels.
     pub fn of_frame(limits: &Limits, counts: Counts) -> Self {
         let blocks = LaunchSizes::new(limits);
         let used = |gaussians: u32, instances: u32| {

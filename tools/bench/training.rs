@@ -59,7 +59,6 @@ impl Training {
         })
     }
 
-    /// Trains once through all windows.
     pub fn measure(&self, context: &Context, copy: Option<&CopyBandwidth>, seed: u64) -> Result<Vec<Run>> {
         let settings = TrainSettings {
             sh_degree: self.initial.sh_degree,

@@ -6,15 +6,13 @@ use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, WorldFrame};
 use ashsplat::train::MomentsType;
 use ashsplat::{Error, RenderSettings, Result, ShStorage, TrainView};
-use ashsplat_files::cameras_json;
-use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress, splats};
+use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress, cameras_json, splats};
 use ashsplat_program::args::HostArguments;
 use ashsplat_program::look::{orbit_around, parse_sh_storage};
 use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
 
-/// Most Gaussians of a synthetic scene.
 pub const MAX_GAUSSIANS: i64 = 1 << 26;
 
 /// A synthetic scene and its picture.
@@ -38,9 +36,7 @@ pub struct SyntheticArguments {
 }
 
 impl SyntheticArguments {
-    /// Default number of Gaussians.
     pub const GAUSSIANS: u32 = 300_000;
-    /// Default SH degree.
     pub const SH_DEGREE: u32 = 3;
 
     pub fn sh_degree(&self) -> u32 {
@@ -125,7 +121,6 @@ impl Storage {
         }
     }
 
-    /// Storage of Adam's moments.
     pub fn moments(self) -> MomentsType {
         match self.packed_moments {
             true => MomentsType::Packed,
@@ -134,11 +129,9 @@ impl Storage {
     }
 }
 
-/// A scene and its camera.
 pub struct Scene {
     pub gaussians: Gaussians,
     pub camera: Camera,
-    /// The data set's photo of the view.
     pub view: Option<TrainView>,
     pub scene_extent: f32,
     pub storage: Storage,
@@ -268,7 +261,6 @@ fn overview(gaussians: &Gaussians) -> Camera {
 }
 
 impl Scene {
-    /// Refuses a scene that cannot be rendered.
     fn checked(self) -> Result<Self> {
         if self.gaussians.is_empty() {
             return Err(Error::argument("scene", "has no Gaussians; give --gaussians 1 or more"));
@@ -277,20 +269,8 @@ impl Scene {
         Ok(self)
     }
 
-    /// Same as [`Scene::workload`], but hashes more inputs of training. Step sizes depend on the extent; the seed disturbs a
-    /// scene that is trained on its own picture.
-    pub fn training_workload(&self, settings: &RenderSettings, seed: u64) -> Workload {
-        let disturbed_by = if self.view.is_none() { Some(seed) } else { None };
-        let more = format!("{} {disturbed_by:?}", self.scene_extent);
-        self.workload_with(settings, more.as_bytes())
-    }
-
-    /// The workload for the result file. The command that renders a frame fills in its counts.
-    pub fn workload(&self, settings: &RenderSettings) -> Workload {
-        self.workload_with(settings, &[])
-    }
-
-    fn workload_with(&self, settings: &RenderSettings, more: &[u8]) -> Workload {
+    /// The workload for the result file, with `more` inputs in its hash. The command that renders a frame fills in its counts.
+    pub fn workload(&self, settings: &RenderSettings, more: &[u8]) -> Workload {
         let mut hash = Fnv::default();
         let (g, c) = (&self.gaussians, &self.camera);
         hash.gaussians(g);

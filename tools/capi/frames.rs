@@ -4,7 +4,6 @@ use super::scenes::{keep, scenes, updates};
 use super::*;
 use crate::recording_cache::{List, collected};
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::scene::Pose;
 use ashsplat::vk::ImageState;
 use ashsplat::{
     Background, ColorEncoding, DepthTarget, HostImage, MotionTarget, Occluder, Placed, RecordedFrame,
@@ -91,12 +90,6 @@ pub struct AshsplatPose {
     pub translation: [f32; 3],
     /// World units per unit of the scene, the same in all directions: 1 for no scaling.
     pub scale: f32,
-}
-
-impl AshsplatPose {
-    pub(super) fn pose(&self) -> Pose {
-        pose_of(&self.world_from_object, self.translation, self.scale)
-    }
 }
 
 /// An image of what is picked at each pixel: the Gaussian with the largest blending weight alpha T, the nearest of equal ones.

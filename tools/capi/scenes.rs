@@ -140,7 +140,7 @@ pub(super) unsafe fn scenes<'b>(
                 Some(settings) => converted(&settings, place, (scratch, cache))?,
                 None => SceneSettings::default(),
             };
-            let previous_pose = previous_pose.as_ref().map(AshsplatPose::pose);
+            let previous_pose = previous_pose.map(|p| pose_of(&p.world_from_object, p.translation, p.scale));
             Ok(Placed { settings, previous_pose, ..Placed::at(scene, placed.pose()) })
         }
     };

@@ -51,7 +51,6 @@ pub fn scene(city: City) -> Scene {
     Scene::in_sunlight(objects)
 }
 
-/// Objects on a lot.
 fn lot(i: i32, j: i32, lots: i32) -> Vec<Object> {
     let random = |what: i32| lattice_noise(i, j, 100 + what);
     let middle = |index: i32| (index as f32 - 0.5 * (lots - 1) as f32) * LOT;

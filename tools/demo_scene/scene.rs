@@ -37,13 +37,11 @@ pub(crate) enum Texture {
     Tiles { colors: [Vec3; 2], joint: Vec3, size: f32 },
 }
 
-/// A shape and the appearance of its surface.
 pub(crate) struct Object {
     pub(crate) shape: Shape,
     pub(crate) texture: Texture,
     /// Strength of the Phong highlight.
     pub(crate) gloss: f32,
-    /// Share of mirrored sky.
     pub(crate) mirror: f32,
 }
 

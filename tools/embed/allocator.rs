@@ -32,7 +32,6 @@ impl Adapter {
         Ok(Self(Mutex::new(Live { allocator, pieces: HashMap::new(), next: 0 })))
     }
 
-    /// Number of pieces in use.
     pub fn pieces(&self) -> usize {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).pieces.len()
     }

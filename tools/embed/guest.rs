@@ -18,14 +18,12 @@ use ashsplat::{
 use std::path::Path;
 use std::sync::Arc;
 
-/// Width and height of the pictures.
 pub const SIZE: [u32; 2] = [480, 360];
 const FRAMES_IN_FLIGHT: u32 = 2;
 /// Linear light: 26, 31 and 41 of 255 on a display.
 const BACKGROUND: [f32; 4] = [0.010330, 0.013702, 0.022174, 1.0];
 const PIXEL_BYTES: u64 = 4 * SIZE[0] as u64 * SIZE[1] as u64;
 
-/// A picture to draw.
 #[derive(Clone, Copy)]
 pub struct Picture {
     pub name: &'static str,

@@ -35,7 +35,6 @@ pub struct AsyncQueue {
     pub pool: vk::CommandPool,
 }
 
-/// Options of a host.
 #[derive(Clone, Copy)]
 pub struct HostOptions {
     /// Turn on the validation layer with synchronisation validation.
@@ -212,7 +211,6 @@ impl Host {
         recorded
     }
 
-    /// Waits until the device is idle.
     pub fn wait(&self) -> Result<()> {
         // SAFETY: this is the queue's only user.
         unsafe { self.device.device_wait_idle()? }

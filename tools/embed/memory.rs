@@ -6,7 +6,6 @@ use ashsplat::vk::{ForeignImage, ImageUse};
 
 const STORAGE: vk::ImageUsageFlags = vk::ImageUsageFlags::STORAGE;
 
-/// An image with its memory and a view.
 pub struct HostTexture {
     pub image: vk::Image,
     pub view: vk::ImageView,
@@ -56,14 +55,12 @@ impl HostTexture {
         }
     }
 
-    /// Describes the image to the guest.
     pub fn foreign(&self) -> ForeignImage {
         let Self { image, format, flags, usage, size, .. } = *self;
         let samples = vk::SampleCountFlags::TYPE_1;
         ForeignImage { image, format, flags, usage, samples, size, mip_level: 0, layer: 0 }
     }
 
-    /// Records a change of layout.
     pub fn barrier(&self, host: &Host, commands: vk::CommandBuffer, from: Use, to: Use) {
         let barriers = [vk::ImageMemoryBarrier2::default()
             .src_stage_mask(from.1)
@@ -122,7 +119,6 @@ fn whole(aspect_mask: vk::ImageAspectFlags) -> vk::ImageSubresourceRange {
 /// Layout, stages and accesses of an image at some point.
 pub type Use = (vk::ImageLayout, vk::PipelineStageFlags2, vk::AccessFlags2);
 
-/// A buffer in mapped memory.
 pub struct HostBuffer {
     pub raw: vk::Buffer,
     memory: vk::DeviceMemory,

@@ -4,7 +4,6 @@ use ashsplat::ash::{self, ext::debug_utils, vk};
 use std::ffi::{CStr, c_void};
 use std::sync::{Mutex, PoisonError};
 
-/// A messenger, and what it has heard.
 pub struct Messages {
     loader: debug_utils::Instance,
     messenger: vk::DebugUtilsMessengerEXT,

@@ -42,7 +42,6 @@ pub struct Cube {
     pass: Pass,
 }
 
-/// Parameters of one picture of the cube.
 pub struct CubePass<'a> {
     pub color: &'a HostTexture,
     pub depth: &'a HostTexture,
@@ -262,9 +261,7 @@ struct PassInfo<'a> {
     /// SPIR-V of the vertex and of the fragment shader.
     shaders: [&'a [u8]; 2],
     filter: vk::Filter,
-    /// Stage and bytes of the push constants.
     push: Option<(vk::ShaderStageFlags, u32)>,
-    /// Formats of the attachments.
     color: Option<vk::Format>,
     depth: Option<vk::Format>,
 }
@@ -274,7 +271,6 @@ struct Draw<'a> {
     depth: Option<vk::RenderingAttachmentInfo<'a>>,
     size: [u32; 2],
     reversed_depth: bool,
-    /// Words of the push constants.
     push: &'a [u32],
     vertices: u32,
 }

@@ -191,7 +191,6 @@ pub unsafe extern "system" fn barrier2(
     }
 }
 
-/// Writes the text of a command buffer.
 fn write(commands: vk::CommandBuffer) {
     if let Some(file) = file() {
         let text = trace().recordings.remove(&commands.as_raw()).unwrap_or_default();

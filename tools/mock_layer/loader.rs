@@ -1,6 +1,6 @@
 //! The interface between loader and layer (vk_layer.h), and the tables of functions.
 
-use super::state::{Callbacks, DeviceState, InstanceState, SetLoaderData};
+use super::state::{Callbacks, DEVICES, DeviceState, INSTANCES, InstanceState, SetLoaderData};
 use super::submissions::Wait;
 use super::{answers, commands, memory, queues};
 use ash::vk;
@@ -107,7 +107,7 @@ unsafe extern "system" fn create_instance(
 
 unsafe extern "system" fn destroy_instance(instance: vk::Instance, callbacks: Callbacks<'_>) {
     if instance != vk::Instance::null()
-        && let Some(state) = InstanceState::remove(instance)
+        && let Some(state) = INSTANCES.remove(instance)
     {
         // SAFETY: the caller's arguments.
         unsafe { (state.functions.destroy_instance)(instance, callbacks) }
@@ -146,7 +146,7 @@ unsafe extern "system" fn create_device(
 
 unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: Callbacks<'_>) {
     if device != vk::Device::null()
-        && let Some(state) = DeviceState::remove(device)
+        && let Some(state) = DEVICES.remove(device)
     {
         state.start_needed_by(Wait::All);
         // SAFETY: the caller's arguments.

@@ -126,7 +126,6 @@ impl Machine {
         })
     }
 
-    /// Bits of all memory types.
     pub(crate) fn type_bits(&self) -> u32 {
         (1 << self.types.len()) - 1
     }

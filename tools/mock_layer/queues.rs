@@ -8,7 +8,6 @@ use super::submissions::{Queue, QueueIndex, Submission, Submissions, Wait};
 use ash::vk::{self, Handle};
 
 impl Submissions {
-    /// Submits all submissions that may start now.
     pub fn start_ready(&mut self, state: &DeviceState) -> vk::Result {
         while let Some(submission) = self.next() {
             let info = [vk::SubmitInfo2::default()
@@ -45,7 +44,6 @@ impl Submissions {
         result
     }
 
-    /// Adds a submission of the program.
     fn add(&mut self, state: &DeviceState, index: QueueIndex, mut submission: Submission) {
         (submission.index, submission.is_late) = (index, state.machine.holds(index.0));
         if state.machine.forgets(index.0) {

@@ -13,10 +13,10 @@ pub type Callbacks<'a> = *const vk::AllocationCallbacks<'a>;
 pub type SetLoaderData = unsafe extern "system" fn(vk::Device, *mut c_void) -> vk::Result;
 
 /// States keyed by the loader's table, with which all dispatchable objects of an instance or a device begin.
-struct Table<T>(RwLock<BTreeMap<usize, Arc<T>>>);
+pub struct Table<T>(RwLock<BTreeMap<usize, Arc<T>>>);
 
-static INSTANCES: Table<InstanceState> = Table(RwLock::new(BTreeMap::new()));
-static DEVICES: Table<DeviceState> = Table(RwLock::new(BTreeMap::new()));
+pub static INSTANCES: Table<InstanceState> = Table(RwLock::new(BTreeMap::new()));
+pub static DEVICES: Table<DeviceState> = Table(RwLock::new(BTreeMap::new()));
 
 fn key<H: Handle>(handle: H) -> usize {
     // SAFETY: a dispatchable handle is the address of an object that begins with the loader's table.
@@ -29,7 +29,7 @@ impl<T> Table<T> {
         states.insert(key(handle), Arc::new(state));
     }
 
-    fn remove(&self, handle: impl Handle) -> Option<Arc<T>> {
+    pub fn remove(&self, handle: impl Handle) -> Option<Arc<T>> {
         self.0.write().unwrap_or_else(PoisonError::into_inner).remove(&key(handle))
     }
 
@@ -69,10 +69,6 @@ impl InstanceState {
     /// State of an instance or a physical device.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
         INSTANCES.find(handle)
-    }
-
-    pub fn remove(instance: vk::Instance) -> Option<Arc<Self>> {
-        INSTANCES.remove(instance)
     }
 }
 
@@ -137,10 +133,6 @@ impl DeviceState {
     /// State of a device, a command buffer or a queue.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
         DEVICES.find(handle)
-    }
-
-    pub fn remove(device: vk::Device) -> Option<Arc<Self>> {
-        DEVICES.remove(device)
     }
 
     pub fn submissions(&self) -> MutexGuard<'_, Submissions> {

@@ -13,16 +13,12 @@ pub type SemaphoreValue = (vk::Semaphore, u64);
 /// Family and index of one of the machine's queues.
 pub type QueueIndex = (u32, u32);
 
-/// Object that the host waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wait {
-    /// The submission with this fence.
     Fence(vk::Fence),
     /// The first submission that signals at least this value.
     Semaphore(SemaphoreValue),
-    /// All submissions of a queue.
     Queue(QueueIndex),
-    /// All submissions of the device.
     All,
 }
 
@@ -48,7 +44,6 @@ pub struct Queue {
 /// The machine's queues and the submissions to them that have not started, in order, with the state of semaphores.
 #[derive(Default)]
 pub struct Submissions {
-    /// The driver's queue.
     pub queue: vk::Queue,
     /// Boxes keep the addresses stable.
     pub queues: HashMap<QueueIndex, Box<Queue>>,
@@ -63,7 +58,6 @@ pub struct Submissions {
 unsafe impl Send for Submissions {}
 
 impl Submissions {
-    /// Records a signal by the host.
     pub fn signalled(&mut self, (semaphore, value): SemaphoreValue) {
         if let Some(known) = self.timelines.get_mut(&semaphore) {
             *known = value.max(*known);

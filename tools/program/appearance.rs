@@ -39,7 +39,6 @@ impl Appearance {
 /// Exposures and lens effects of all photographs of a training, by name.
 #[derive(Clone, Debug, Default)]
 pub struct Appearances {
-    /// Exposures of the training photos.
     pub exposures: BTreeMap<String, Exposure>,
     /// Lens effects of all photos, held-out ones included.
     pub lenses: LensFile,
@@ -58,7 +57,6 @@ impl Appearances {
         })
     }
 
-    /// Exposure and lens effects of a photograph.
     pub fn of(&self, photo: &str) -> Appearance {
         Appearance { exposure: self.exposures.get(photo).copied(), lens: self.lenses.of(photo) }
     }

@@ -42,12 +42,10 @@ pub struct HostArguments {
 }
 
 impl HostArguments {
-    /// Options for reading a scene.
     pub fn reading(&self, drop_invalid: bool) -> ReadOptions {
         ReadOptions { drop_invalid, max_host_memory: self.max_host_memory }
     }
 
-    /// Host memory budget of photos.
     pub fn memory(&self) -> HostMemory {
         self.max_host_memory.map(HostMemory::new).unwrap_or_default()
     }
@@ -91,7 +89,6 @@ impl DeviceArguments {
         device.chain(memory).chain(lanes).chain(backend).collect()
     }
 
-    /// Opens the device.
     pub fn context(&self) -> Result<Context> {
         self.context_with(|_| ())
     }

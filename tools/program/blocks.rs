@@ -5,6 +5,7 @@ pub mod parts;
 pub mod result;
 pub mod rounds;
 
+use crate::output;
 use ashsplat::scene::{Bounds, Cells, Fingerprint, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::NamedCamera;
@@ -15,7 +16,6 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-/// Version of the file format.
 pub const VERSION: u32 = 1;
 /// Largest number of blocks: checking more against each other would take long.
 pub const MAX_BLOCKS: usize = 4096;
@@ -46,7 +46,6 @@ pub struct Division {
     pub blocks: Vec<Block>,
 }
 
-/// The data set of all blocks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DatasetOfBlocks {
@@ -57,7 +56,6 @@ pub struct DatasetOfBlocks {
     pub resolution: i32,
     pub orientation: String,
     pub undistort: bool,
-    /// Use of the photos' alpha channels.
     pub alpha: String,
     /// Turn of the coarse model's data set.
     pub level: String,
@@ -69,7 +67,6 @@ pub struct DatasetOfBlocks {
 #[serde(deny_unknown_fields)]
 pub struct Coarse {
     pub path: PathBuf,
-    /// Hash of the file.
     pub hash: String,
     pub gaussians: u64,
 }
@@ -87,9 +84,7 @@ pub struct Block {
     pub iterations: u32,
     /// Model folder.
     pub folder: PathBuf,
-    /// Training photos.
     pub photos: Vec<String>,
-    /// Held-out photos.
     pub held_out: Vec<String>,
     /// Number of pixels in the used parts of all these photos.
     pub pixels: u64,
@@ -148,7 +143,6 @@ pub struct BlocksFile {
 }
 
 impl BlocksFile {
-    /// Reads and checks the file.
     pub fn read(path: &Path) -> Result<BlocksFile> {
         let refuse = |problem: String| Error::input(path, problem, REMEDY);
         let bytes = regular_file::read_json(path)?;
@@ -211,12 +205,10 @@ impl Division {
         (block.core.bounds(&self.frame()), self.margin_in_world())
     }
 
-    /// The margin, world units.
     pub fn margin_in_world(&self) -> f32 {
         (f64::from(self.margin) / self.unit) as f32
     }
 
-    /// The blocks' cores, world coordinates.
     pub fn cells(&self) -> Result<Cells> {
         let frame = self.frame();
         let cores: Vec<Bounds> = self.blocks.iter().map(|block| block.core.bounds(&frame)).collect();
@@ -302,8 +294,7 @@ fn folder_of(file: &Path) -> &Path {
 
 /// A path for storing in a file: relative if it lies below the file's folder, else absolute.
 pub fn stored(path: &Path, file: &Path) -> PathBuf {
-    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    let (path, file) = (absolute(path), absolute(file));
+    let (path, file) = (output::absolute(path), output::absolute(file));
     match path.strip_prefix(folder_of(&file)) {
         // The folder of the file.
         Ok(below) if below.as_os_str().is_empty() => PathBuf::from("."),

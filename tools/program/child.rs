@@ -9,10 +9,8 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Commands that install ffmpeg.
 pub const INSTALL_FFMPEG: &str = "`apt install ffmpeg` on Debian and Ubuntu, `brew install ffmpeg` on macOS, `dnf install \
     ffmpeg-free` on Fedora, `winget install ffmpeg` on Windows";
-/// Time between two checks of a program.
 const POLL: Duration = Duration::from_millis(20);
 /// Checks of `stop` after a program failed: Ctrl-C on a terminal also ends the program, perhaps before this one
 /// notices.
@@ -57,7 +55,6 @@ impl Drop for Running {
     }
 }
 
-/// Why a program could not be started.
 pub fn not_started(program: &str, error: &std::io::Error) -> String {
     match error.kind() {
         ErrorKind::NotFound => format!("needs {program}, which is not installed"),
@@ -65,7 +62,6 @@ pub fn not_started(program: &str, error: &std::io::Error) -> String {
     }
 }
 
-/// Result of a program.
 pub struct LoggedOutput {
     pub status: ExitStatus,
     /// Last lines of its output, without empty ones.

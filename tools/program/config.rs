@@ -12,6 +12,7 @@ pub use data::{AutoSwitch, DataSettings, Outside, Split};
 pub use few_photos::DefaultsInput;
 
 use crate::blocks::job::Job;
+use crate::output;
 use ashsplat::train::settings::TrainOption;
 use ashsplat::train::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
@@ -69,14 +70,12 @@ impl FromArgMatches for Overrides {
     }
 }
 
-/// All settings of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     pub data: DataSettings,
     pub train: TrainSettings,
 }
 
-/// The given settings, by source.
 pub struct SettingsSources {
     file: Option<PathBuf>,
     from_file: Table,
@@ -124,7 +123,6 @@ impl SettingsSources {
         Ok(settings)
     }
 
-    /// True if a setting is given.
     fn has(&self, name: &str) -> bool {
         [&self.from_file, &self.from_job, &self.from_args].iter().any(|table| table.contains_key(name))
     }
@@ -197,7 +195,6 @@ impl Settings {
         Ok(Settings { data, train: all.try_into().map_err(message)? })
     }
 
-    /// The settings dump for `--config`.
     pub fn to_toml(&self) -> Result<String> {
         let problem = |e: toml::ser::Error| Error::argument("settings", e.to_string());
         let data = toml::to_string(&self.data).map_err(problem)?;
@@ -209,7 +206,7 @@ impl Settings {
     /// read.
     pub fn to_cfg_args(&self) -> String {
         let python = |value: bool| if value { "True" } else { "False" };
-        let quoted = |path: &Path| python_string(&absolute(path).to_string_lossy());
+        let quoted = |path: &Path| python_string(&output::absolute(path).to_string_lossy());
         format!(
             "Namespace(sh_degree={}, source_path={}, model_path={}, images={}, depths={}, resolution={}, \
              white_background={}, train_test_exp={}, data_device='cuda', eval={})",
@@ -245,10 +242,6 @@ impl Settings {
         settings.train.antialiasing = flag_of("antialiasing");
         settings
     }
-}
-
-fn absolute(path: &Path) -> PathBuf {
-    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
 fn python_string(text: &str) -> String {

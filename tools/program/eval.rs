@@ -21,7 +21,6 @@ pub const RESULTS_FILE: &str = "results.json";
 /// File of each view's results, by iteration.
 pub const PER_VIEW_FILE: &str = "per_view.json";
 
-/// Quality of one view.
 #[derive(Clone, Default)]
 pub struct ViewResult {
     pub name: String,
@@ -35,19 +34,15 @@ pub struct ViewResult {
     pub frame_ms: Option<f64>,
 }
 
-/// Size of a scene.
 #[derive(Clone, Copy)]
 pub struct SceneSize {
     pub gaussians: u64,
-    /// Size of its file.
     pub bytes: Option<u64>,
 }
 
-/// Quality of all views of a test.
 #[derive(Clone, Default)]
 pub struct Evaluation {
     pub views: Vec<ViewResult>,
-    /// Names of the LPIPS that were measured.
     pub measures: Vec<&'static str>,
     pub scene: Option<SceneSize>,
     /// The same views with cameras aligned to the scene, if training optimised the poses.
@@ -57,9 +52,7 @@ pub struct Evaluation {
 /// Further measurements of views besides PSNR and SSIM.
 #[derive(Default)]
 pub struct ExtraMeasures<'a> {
-    /// Saves the pictures.
     pub pictures: Option<&'a mut Pictures>,
-    /// Measures LPIPS.
     pub lpips: Option<&'a mut LpipsNetworks>,
     /// Draws each frame a second time and measures its time.
     pub frame_times: bool,
@@ -137,7 +130,6 @@ impl Evaluation {
         Value::Object(summary)
     }
 
-    /// Name and value of each measure of a view.
     pub fn values(&self, view: &ViewResult) -> impl Iterator<Item = (&'static str, f64)> {
         let own = [("SSIM", view.ssim), ("PSNR", view.psnr), ("CC_PSNR", view.cc_psnr)];
         own.into_iter().chain(self.measures.iter().copied().zip(view.lpips.clone()))
@@ -179,7 +171,6 @@ impl Pictures {
         }
     }
 
-    /// The first error of saving, if any.
     pub fn saved(self) -> Result<()> {
         self.saved
     }
@@ -231,7 +222,6 @@ fn frame_ms(draw: impl FnOnce() -> Result<Frame>) -> Result<f64> {
     Ok(if device > 0.0 { device } else { wall })
 }
 
-/// True if a view's mask hides all of it.
 pub fn is_hidden(view: &View) -> Result<bool> {
     Ok(view.photo.mask()?.is_some_and(|mask| mask.iter().all(|&counts| counts == 0)))
 }
@@ -275,7 +265,6 @@ pub fn alignment_of(settings: &TrainSettings) -> Alignment {
     Alignment { lambda_dssim: settings.lambda_dssim as f32, ..Alignment::default() }
 }
 
-/// Cameras by the names of their photos.
 pub fn by_name(cameras: Vec<NamedCamera>) -> HashMap<String, Camera> {
     cameras.into_iter().map(|NamedCamera { name, camera }| (name, camera)).collect()
 }
@@ -391,7 +380,6 @@ pub fn check_sizes(weights: &[Weights], gallery: &Gallery, chosen: &[usize], hal
     Ok(())
 }
 
-/// LPIPS networks on the device.
 pub struct LpipsNetworks {
     networks: Vec<Lpips>,
 }
@@ -404,7 +392,6 @@ impl LpipsNetworks {
         Ok((!networks.is_empty()).then_some(LpipsNetworks { networks }))
     }
 
-    /// Names of the measures.
     pub fn names(&self) -> Vec<&'static str> {
         self.networks.iter().map(|lpips| lpips.network().measure()).collect()
     }

@@ -21,7 +21,6 @@ const FILTER: &str =
     "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=in_range=pc:out_range=tv:out_color_matrix=bt709,format=yuv420p";
 const TAGS: [&str; 6] = ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-colorspace", "bt709"];
 
-/// Container formats of films.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Container {
     Gif,

@@ -7,7 +7,6 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use std::fmt::Write;
 
-/// Style of every page; light and dark.
 pub const STYLE: &str = "
 :root { color-scheme: light dark; --line: #8884; --text: #222; --page: #fff; --soft: #666; }
 @media (prefers-color-scheme: dark) { :root { --text: #ddd; --page: #181818; --soft: #999; } }
@@ -22,12 +21,10 @@ tr.sum td { font-weight: 600; border-bottom: none; }
 .row { display: flex; flex-wrap: wrap; gap: 1.2em; } figure { margin: 0; } figcaption { color: var(--soft); font-size: 12px; }
 ";
 
-/// A heading with a note.
 pub fn section(out: &mut String, title: &str, note: &str) {
     let _ = writeln!(out, "<h2>{title}</h2><p class=\"note\">{note}</p>");
 }
 
-/// A cell of a table.
 pub enum Cell {
     /// Text at the left.
     Name(String),
@@ -83,7 +80,6 @@ pub fn memory(arenas: &[(&str, u64)]) -> String {
     table(&["arena", "MiB", ""], &arenas.iter().map(row).collect::<Vec<_>>(), None)
 }
 
-/// A photo as a small data URL.
 pub fn jpeg(photo: &Photo) -> Result<String> {
     Ok(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(output::to_jpeg(photo, 90)?)))
 }
@@ -105,7 +101,6 @@ pub fn heat(share: f64) -> [u8; 3] {
 
 const BINS: usize = 40;
 
-/// Draws a histogram of the finite values.
 pub fn histogram(out: &mut String, name: &str, values: &[f64]) {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for &value in values.iter().filter(|v| v.is_finite()) {
@@ -148,12 +143,10 @@ fn short(value: f64) -> String {
     if value.fract() == 0.0 { format!("{value}") } else { format!("{value:.2}") }
 }
 
-/// Escapes text for XML and HTML.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Display name of a stage.
 pub fn shown(stage: &str) -> &str {
     if stage.is_empty() { "read-back" } else { stage }
 }

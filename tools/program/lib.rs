@@ -20,7 +20,6 @@ macro_rules! errln {
 pub mod appearance;
 pub mod args;
 pub mod blocks;
-pub mod chart;
 pub mod child;
 pub mod config;
 pub mod eval;

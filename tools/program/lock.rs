@@ -22,9 +22,7 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(20);
 /// How often a folder or a lock file may vanish between its creation and its lock.
 const MAX_VANISHED: u32 = 20;
 
-/// Kind of work in a locked folder.
 pub struct LockKind {
-    /// Name of the lock file.
     pub file: &'static str,
     /// Name of the work for messages, such as "training".
     pub what: &'static str,
@@ -115,13 +113,15 @@ impl FolderLock {
             }
         };
         if held.is_some() {
-            fs::write(name_file(&path), own_name()).map_err(|e| Error::io(&path, "write", e))?;
+            // Several machines may share the folder.
+            let host = gethostname::gethostname();
+            let own_name = format!("process {} on {}", std::process::id(), host.to_string_lossy());
+            fs::write(name_file(&path), own_name).map_err(|e| Error::io(&path, "write", e))?;
         }
         Ok(Some(Attempt::Locked(Self { path, held, made: Vec::new() })))
     }
 }
 
-/// Result of a try.
 enum Attempt {
     Locked(FolderLock),
     /// Held by another process: " (its name)", or empty if the name is unknown.
@@ -143,11 +143,6 @@ fn name_file(lock: &Path) -> PathBuf {
 /// Name that a holder has written; it is only used in messages.
 fn name_in(lock: &Path) -> Option<String> {
     output::read_note(&name_file(lock)).map(|name| name.trim().to_owned()).filter(|name| !name.is_empty())
-}
-
-/// "process 12 on node7": several machines may share the folder.
-fn own_name() -> String {
-    format!("process {} on {}", std::process::id(), gethostname::gethostname().to_string_lossy())
 }
 
 /// True if a file or its folder is gone. Windows refuses access to a removed file that another process still has open.

@@ -44,7 +44,6 @@ pub struct LookArguments {
 }
 
 impl LookArguments {
-    /// Storage of a scene's SH on the device.
     pub fn stored(&self, gaussians: &Gaussians) -> ShStorage {
         stored(self.sh_storage, gaussians)
     }
@@ -124,7 +123,6 @@ pub fn stored(requested: Option<ShStorage>, gaussians: &Gaussians) -> ShStorage 
     requested.unwrap_or_else(|| ShStorage::lossless(gaussians))
 }
 
-/// Parses a storage of SH.
 pub fn parse_sh_storage(text: &str) -> Result<ShStorage, String> {
     match text {
         "f32" => Ok(ShStorage::F32),
@@ -150,7 +148,6 @@ pub fn tree_of(folder: &Path, has_budget: bool) -> Result<Option<Tree>> {
     if has_budget { Err(Error::argument("--budget", problem)) } else { Ok(None) }
 }
 
-/// Number of Gaussians of a budget.
 pub fn gaussians_of(budget: Target, tree: &Tree) -> usize {
     match budget {
         Target::Count(count) => usize::try_from(count).unwrap_or(usize::MAX),
@@ -192,7 +189,6 @@ pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Int
     Orbit { center, up, radius, elevation: 20f32.to_radians(), count, intrinsics }
 }
 
-/// The warning if no camera sees the scene.
 pub const NOTHING_SHOWN: &str =
     "no picture shows a Gaussian: do scene and cameras have the same coordinates?";
 

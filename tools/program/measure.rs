@@ -10,7 +10,6 @@ pub struct Stopwatch {
     before: (f64, f64),
 }
 
-/// Cost of a number of iterations.
 #[derive(Clone, Copy)]
 pub struct Cost {
     pub iterations: u32,

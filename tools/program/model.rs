@@ -3,9 +3,8 @@
 use crate::config::{CAMERAS_FILE, Settings};
 use crate::output;
 use ashsplat::{Error, Result};
-use ashsplat_files::Dataset;
-use ashsplat_files::splats;
 use ashsplat_files::tiles::{TILESET_FILE, Tree};
+use ashsplat_files::{Dataset, splats};
 use clap::Args;
 use std::path::{Path, PathBuf};
 
@@ -21,15 +20,12 @@ pub struct ModelArguments {
 }
 
 impl ModelArguments {
-    /// Finds the scene.
     pub fn locate(&self) -> Result<Model> {
         Model::locate(&self.model, self.iteration)
     }
 }
 
-/// A trained scene.
 pub struct Model {
-    /// The Gaussians.
     pub ply: PathBuf,
     /// The model folder and the iteration of its PLY; `None` for a bare PLY.
     pub folder: Option<(PathBuf, u32)>,
@@ -81,7 +77,6 @@ pub fn point_cloud_path(folder: &Path, iteration: u32) -> PathBuf {
     folder.join(POINT_CLOUDS).join(format!("iteration_{iteration}")).join("point_cloud.ply")
 }
 
-/// Extension of checkpoints.
 pub const CHECKPOINT_EXTENSION: &str = "safetensors";
 
 /// `chkpntN.safetensors` of a model folder, named after the reference's chkpntN.pth.
@@ -89,10 +84,8 @@ pub fn checkpoint_path(folder: &Path, iteration: u32) -> PathBuf {
     folder.join(format!("chkpnt{iteration}.{CHECKPOINT_EXTENSION}"))
 }
 
-/// The folder of all saved iterations.
 pub const POINT_CLOUDS: &str = "point_cloud";
 
-/// True if a folder is a tree of tiles.
 fn is_tiles(path: &Path) -> bool {
     path.join(TILESET_FILE).is_file()
 }

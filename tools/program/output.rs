@@ -16,7 +16,6 @@ use std::io::{Cursor, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// The first error of writing to stdout.
 static STDOUT_FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 
 /// Describes the Gaussians that were blended at a pixel, front to back.
@@ -122,19 +121,12 @@ pub fn check_folder(folder: &Path) -> Result<PathBuf> {
     Ok(existing.to_owned())
 }
 
-/// Creates the folder of a file.
-fn make_way(path: &Path) -> Result<()> {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => atomic::create_folder(folder),
-        _ => Ok(()),
-    }
-}
-
 /// Creates the folders above a file and writes it. If that fails, the new folders are removed.
 pub fn in_folder<T>(path: &Path, write: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
-    let above = path.ancestors().skip(1).filter(|folder| !folder.as_os_str().is_empty());
+    let mut above = path.ancestors().skip(1).filter(|folder| !folder.as_os_str().is_empty()).peekable();
+    let folder = above.peek().copied();
     let new: Vec<&Path> = above.take_while(|folder| !folder.exists()).collect();
-    let result = make_way(path).and_then(|()| write(path));
+    let result = folder.map_or(Ok(()), atomic::create_folder).and_then(|()| write(path));
     if result.is_err() {
         // Innermost first. A folder with a file of another program stays.
         new.iter().all(|folder| std::fs::remove_dir(folder).is_ok());
@@ -150,6 +142,11 @@ fn write_whole(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result
 /// Reads a short note of this program, if there is one.
 pub fn read_note(path: &Path) -> Option<String> {
     String::from_utf8(regular_file::read_at_most(path, 1024).ok()??).ok()
+}
+
+/// The absolute path, or the path itself in a folder that is gone.
+pub fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
 /// The names in a folder; empty if it cannot be read.
@@ -200,7 +197,6 @@ pub fn write_text(path: &Path, text: &str) -> Result<()> {
     write_whole(path, |out| out.write_all(text.as_bytes()))
 }
 
-/// Writes pretty-printed JSON.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_whole(path, |out| {
         serde_json::to_writer_pretty(&mut *out, value).map_err(std::io::Error::from)?;
@@ -208,12 +204,10 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     })
 }
 
-/// Writes an 8-bit PNG.
 pub fn write_png(path: &Path, picture: &Photo) -> Result<()> {
     in_folder(path, |path| picture.write_png(path))
 }
 
-/// Writes an 8-bit PNG with opacity.
 pub fn write_rgba_png(path: &Path, picture: &image::RgbaImage) -> Result<()> {
     write_whole(path, |out| {
         let (encoder, color) = (PngEncoder::new(out), ExtendedColorType::Rgba8);
@@ -233,6 +227,15 @@ pub fn to_jpeg(photo: &Photo, quality: u8) -> Result<Vec<u8>> {
 /// A frame's colours at 8 bits per channel.
 pub fn to_photo(frame: &Frame) -> Result<Photo> {
     Photo::from_f32(frame.width, frame.height, &frame.color)
+}
+
+/// The picture, scaled down if it is wider.
+pub fn narrowed(picture: Photo, widest: u32) -> Result<Photo> {
+    if picture.width <= widest {
+        return Ok(picture);
+    }
+    let height = u64::from(picture.height) * u64::from(widest) / u64::from(picture.width);
+    picture.scaled_to(widest, height.max(1) as u32)
 }
 
 /// The colours and the opacity of a frame on black at 8 bits per channel, not premultiplied, as in PNG.
@@ -303,7 +306,6 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// Settings for frames with this depth.
     pub fn requested(self, settings: RenderSettings) -> RenderSettings {
         let surface = settings.surface.or((self == Self::Median).then_some(SurfaceDepth::Median));
         RenderSettings { inverse_depth: true, linear_depth: self == Self::Mean, surface, ..settings }

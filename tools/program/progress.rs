@@ -14,7 +14,6 @@ const LOSS_WEIGHT: f64 = 0.4;
 /// Weight of the newest measurement in the speed that gives the remaining time.
 const SPEED_WEIGHT: f64 = 0.3;
 
-/// State after an iteration.
 pub struct State {
     pub iteration: u32,
     pub loss: f32,
@@ -22,9 +21,7 @@ pub struct State {
     pub memory_bytes: u64,
 }
 
-/// A running mean.
 pub struct RunningMean {
-    /// Weight of the newest value.
     weight: f64,
     mean: Option<f64>,
 }
@@ -41,13 +38,11 @@ impl RunningMean {
         }
     }
 
-    /// The mean; `None` before the first value.
     pub fn value(&self) -> Option<f64> {
         self.mean
     }
 }
 
-/// The progress of a training run.
 pub struct TrainProgress {
     bar: Option<ProgressBar>,
     lines: bool,
@@ -62,11 +57,9 @@ pub struct TrainProgress {
     /// Seconds per iteration.
     mean_seconds: RunningMean,
     mean_loss: RunningMean,
-    /// Time of the last plain line.
     last_line: Instant,
     /// True once [`TrainProgress::first_estimate`] was given.
     estimated: bool,
-    /// The last measurement and its iteration.
     psnr: Option<(f64, u32)>,
 }
 
@@ -92,7 +85,6 @@ impl TrainProgress {
         }
     }
 
-    /// Shows the state after an iteration.
     pub fn step(&mut self, state: &State) {
         self.mean_loss.add(state.loss.into());
         let seconds = self.window.0.elapsed().as_secs_f64();
@@ -125,7 +117,6 @@ impl TrainProgress {
         Some(f64::from(self.iterations - iteration) * seconds)
     }
 
-    /// Notes the result of a test.
     pub fn tested(&mut self, psnr: f64, iteration: u32) {
         self.psnr = Some((psnr, iteration)).filter(|_| !psnr.is_nan());
     }
@@ -180,7 +171,6 @@ pub fn counting(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     counting_in(what, "", total, quiet)
 }
 
-/// Progress of a stage with a unit of its own.
 pub fn counting_in(what: &'static str, unit: &'static str, total: u64, quiet: bool) -> ProgressBar {
     // An empty bar would look full.
     if quiet || total == 0 || !std::io::stderr().is_terminal() {

@@ -132,7 +132,6 @@ pub fn counted<T>(
     done
 }
 
-/// Prints warnings on stderr.
 pub fn warn(warnings: &[String]) {
     for warning in warnings {
         errln!("warning: {warning}");

@@ -15,7 +15,6 @@ const ARENAS: [&str; 9] =
 const COLUMNS: &str = "iteration,loss,psnr,gaussians,ms,skipped";
 /// Column of the mean PSNR over the tracked views.
 const TRACKED: &str = "tracked_psnr";
-/// Name of the log in a model folder.
 pub const LOG_FILE: &str = "train_log.csv";
 /// Largest number of lines that wait in memory.
 const FLUSH_INTERVAL: u32 = 100;
@@ -142,7 +141,6 @@ fn check(path: &Path) -> Result<()> {
     }
 }
 
-/// The text of a regular file.
 fn read(path: &Path) -> Result<String> {
     String::from_utf8(regular_file::read(path, 2)?).map_err(|_| Error::input(path, "is not text", ""))
 }

@@ -68,7 +68,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Exchange::new(&file, round, arguments)?.run()
 }
 
-/// An exchange after a round.
 struct Exchange<'a> {
     file: &'a BlocksFile,
     round: u32,
@@ -214,7 +213,6 @@ impl<'a> Exchange<'a> {
     }
 }
 
-/// True if a cell overlaps a core with its margin.
 fn touches(cell: Bounds, core: Bounds, margin: f32) -> bool {
     cell.min.cmple(core.max + margin).all() && cell.max.cmpge(core.min - margin).all()
 }

@@ -173,7 +173,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Inputs of a division.
 struct DivisionInputs<'a> {
     coarse: &'a Model,
     gaussians: &'a Gaussians,
@@ -239,7 +238,6 @@ fn check_same_pictures(
 }
 
 impl Arguments {
-    /// Refuses invalid arguments before the work.
     fn check(&self) -> Result<()> {
         output::check(&[("--out", Some(&self.out))])?;
         if self.out.extension().is_none_or(|extension| extension != "json") {

@@ -3,9 +3,8 @@
 mod comparison;
 
 use ashsplat::{Error, Renderer, Result};
-use ashsplat_files::Progress;
-use ashsplat_files::splats;
 use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions};
+use ashsplat_files::{Progress, splats};
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::render_settings_of;
 use ashsplat_program::model::Model;

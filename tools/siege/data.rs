@@ -9,7 +9,6 @@ use std::path::Path;
 const VIEWS: u32 = 9;
 const SIZE: [u32; 2] = [48, 32];
 const FOCAL: f64 = 57.0;
-/// Distance of the wall.
 const DISTANCE: f64 = 2.5;
 
 /// A COLMAP model of a coloured wall, photographed from nine positions; a formula gives every pixel.
@@ -84,7 +83,6 @@ const PLY_NAMES: [&str; 14] = [
     "rot_1", "rot_2", "rot_3",
 ];
 
-/// Header of a PLY with this many Gaussians.
 pub fn ply_header(gaussians: u64) -> String {
     let columns: String = PLY_NAMES.iter().map(|name| format!("property float {name}\n")).collect();
     format!("ply\nformat binary_little_endian 1.0\nelement vertex {gaussians}\n{columns}end_header\n")

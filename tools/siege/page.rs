@@ -10,7 +10,6 @@ use tungstenite::{Message, WebSocket};
 /// Longest wait of a page for an answer, whatever other clients do.
 pub const PATIENCE: Duration = Duration::from_secs(10);
 
-/// A page's WebSocket.
 pub struct Page {
     socket: WebSocket<TcpStream>,
 }
@@ -91,7 +90,6 @@ impl Page {
         }
     }
 
-    /// The next message of a type.
     pub fn wait_for(&mut self, kind: &str) -> Result<Value> {
         self.until_message(kind, |_| true)
     }
@@ -120,7 +118,6 @@ impl Page {
         self.send(&json!({ "type": "train", "action": action }))
     }
 
-    /// Progress of training.
     pub fn status(&mut self) -> Result<Value> {
         self.send(&json!({ "type": "status", "since": 0 }))?;
         self.wait_for("status")
@@ -147,7 +144,6 @@ impl Page {
     }
 }
 
-/// A page's request for a picture.
 pub fn view() -> Value {
     json!({ "type": "view", "seq": 1, "look": {}, "camera": {
         "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 2.5], "fx": 100, "fy": 100, "cx": 48,

@@ -13,10 +13,8 @@ use std::time::{Duration, Instant};
 
 /// Time until the program must be ready.
 const READY: Duration = Duration::from_secs(60);
-/// Interval between checks of its memory.
 const WATCH: Duration = Duration::from_millis(5);
 
-/// Resource limits of the program.
 #[derive(Clone, Default)]
 pub struct Limits {
     pub descriptors: Option<u64>,
@@ -40,12 +38,10 @@ fn unshare() -> Command {
     command
 }
 
-/// How a program ended.
 #[derive(Debug)]
 pub struct Ending {
     /// None after a signal.
     pub code: Option<i32>,
-    /// Its stderr.
     pub errors: String,
 }
 
@@ -166,12 +162,10 @@ impl Program {
         self.child.id()
     }
 
-    /// True if it still runs.
     pub fn runs(&mut self) -> bool {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// Sends SIGKILL.
     pub fn kill(&mut self) {
         self.child.kill().ok();
     }

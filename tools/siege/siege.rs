@@ -22,7 +22,6 @@ pub(crate) use ensure;
 
 pub struct Siege {
     pub program: PathBuf,
-    /// True if the siege should be short.
     pub short: bool,
     /// Peak memory of its programs, KiB.
     pub peak: Arc<AtomicU64>,
@@ -44,12 +43,10 @@ impl Siege {
         self.peak.load(Ordering::Relaxed) >> 10
     }
 
-    /// A path in the siege's folder.
     pub fn place(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    /// Makes a new empty folder there.
     pub fn new_folder(&self, name: &str) -> Result<PathBuf> {
         let path = self.place(name);
         if path.exists() {

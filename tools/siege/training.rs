@@ -7,9 +7,7 @@ use crate::siege::{Result, Siege, ensure, text};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Iterations of every training.
 pub const ITERATIONS: u32 = 120;
-/// Iterations after which checkpoints are written.
 pub const CHECKPOINTS: [&str; 4] = ["30", "60", "90", "120"];
 /// Longest time of an attacked training.
 pub const LONGEST: Duration = Duration::from_secs(60);
@@ -32,19 +30,16 @@ const SCHEDULE: [&str; 14] = [
     CHECKPOINTS[2],
 ];
 
-/// A training that serves a page.
 pub struct Training {
     pub program: Program,
     pub host: String,
     pub model: PathBuf,
 }
 
-/// Arguments of a training into a folder.
 pub fn arguments<'a>(data: &'a str, model: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     [&["train", "-s", data, "-m", model], &SCHEDULE[..], &[CHECKPOINTS[3]], more].concat()
 }
 
-/// The data set of all trainings.
 pub fn data_of(siege: &Siege) -> Result<PathBuf> {
     let folder = siege.place("small");
     if !folder.exists() {
@@ -89,7 +84,6 @@ impl Training {
         })
     }
 
-    /// A page that has paused the training.
     pub fn held(&self) -> Result<Page> {
         let mut page = Page::open(&self.host)?;
         page.hold()?;

@@ -29,7 +29,6 @@ struct Places {
 }
 
 impl PhotoAppearances {
-    /// Takes what a finished training has saved.
     pub fn kept(cameras: &[NamedCamera], appearances: &Appearances) -> PhotoAppearances {
         let photo = |named: &NamedCamera| (named.camera, Source::Kept(appearances.of(&named.name)));
         PhotoAppearances { photos: cameras.iter().map(photo).collect() }

@@ -8,7 +8,6 @@ macro_rules! files {
 
 const HTML: &str = "/index.html";
 
-/// Path, contents.
 const FILES: &[(&str, &str)] = files![
     "index.html",
     "style.css",

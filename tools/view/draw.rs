@@ -21,14 +21,12 @@ pub struct Viewer {
     pub films: bool,
 }
 
-/// The viewer of the next pictures.
 pub struct ViewerSettings<'a> {
     pub viewer: Viewer,
     /// Most Gaussians of a picture of a tree of tiles. None: the program's own setting.
     pub budget: Option<u64>,
     /// True if the selected Gaussians are drawn in the selection's colour.
     pub selection: bool,
-    /// True if that viewer is still connected.
     pub is_connected: &'a dyn Fn(&Viewer) -> bool,
 }
 
@@ -46,13 +44,10 @@ pub trait ViewedScene {
     ) -> Result<(Frame, TileReport)>;
     fn inspect(&mut self, camera: &Camera, settings: &RenderSettings, pixel: [u32; 2])
     -> Result<PixelReport>;
-    /// Returns the current Gaussians.
     fn gaussians(&self, part: GaussianSet) -> Result<Gaussians>;
-    /// Applies a page's edit.
     fn edit(&mut self, _: &Edit) -> Result<()> {
         Err(Error::argument("edit", NOT_EDITED))
     }
-    /// Figures of the edits, if there are any.
     fn edits(&self) -> Option<&Value> {
         None
     }
@@ -62,7 +57,6 @@ pub trait ViewedScene {
     fn trainer(&self) -> Option<&Trainer> {
         None
     }
-    /// Sets the viewer of the next pictures.
     fn set_viewer(&mut self, _: &ViewerSettings<'_>) {}
     /// True if all parts of the scene that this camera needs are loaded; requests those that are missing.
     fn is_ready(&mut self, _: &Camera) -> Result<bool> {
@@ -121,7 +115,6 @@ pub struct DrawnPicture {
     pub stats: FrameStats,
 }
 
-/// Render settings for a look.
 pub fn settings(base: &RenderSettings, look: &ViewSettings) -> RenderSettings {
     let has_depth = matches!(look.mode, Mode::Depth | Mode::Ellipsoids);
     let base = if has_depth { Depth::Mean.requested(*base) } else { *base };

@@ -21,7 +21,6 @@ const SELECTED: u8 = 1;
 const HIDDEN: u8 = 2;
 const DELETED: u8 = 4;
 
-/// The Gaussians to export.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GaussianSet {
     /// All that are neither hidden nor deleted.
@@ -30,15 +29,15 @@ pub enum GaussianSet {
     Selection,
 }
 
-/// A scene and the state of its Gaussians.
 pub struct Edits {
     all: Gaussians,
     states: Vec<u8>,
     done: VecDeque<Step>,
     undone: Vec<Step>,
-    /// Number of edits that were applied.
     revision: u64,
-    figures: Value,
+    /// Figures for the pages: numbers of Gaussians that are `selected`, `hidden` and `deleted`, steps to `undo` and `redo`, and the
+    /// `revision`, a number that each edit raises.
+    pub figures: Value,
 }
 
 /// An edit that can be undone: these bits of these Gaussians' states were flipped.
@@ -73,7 +72,6 @@ impl Edits {
         self.apply(if matches!(edit, Edit::Undo) { &Edit::Redo } else { &Edit::Undo }).map(drop)
     }
 
-    /// Number of hidden Gaussians.
     pub fn hidden(&self) -> usize {
         self.count(HIDDEN)
     }
@@ -180,12 +178,6 @@ impl Edits {
             return Err(Error::argument("part", "nothing is selected"));
         }
         Ok(self.all.select(&indices))
-    }
-
-    /// Figures for the pages: numbers of Gaussians that are `selected`, `hidden` and `deleted`, steps to `undo` and `redo`, and the
-    /// `revision`, a number that each edit raises.
-    pub fn figures(&self) -> &Value {
-        &self.figures
     }
 }
 

@@ -4,8 +4,7 @@ use super::draw::{self, ViewedScene};
 use super::protocol::{CameraMessage, FilmRequest};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame, tour};
 use ashsplat::{Error, RenderSettings, Result};
-use ashsplat_files::cameras_json;
-use ashsplat_files::{Photo, PhotoFileFormat};
+use ashsplat_files::{Photo, PhotoFileFormat, cameras_json};
 use ashsplat_program::film_file::{self, Container, Frames};
 use ashsplat_program::output;
 use glam::{Mat3, Vec3};
@@ -13,20 +12,16 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-/// Most frames of a film.
 const MAX_FRAMES: u32 = 3000;
 /// Widest GIF, pixels: 8 bits of colour look no better in a larger one.
 const GIF_WIDTH: u32 = 640;
 
-/// A film whose frames are being rendered.
 pub struct Film {
-    /// Page that requested it.
     pub client: u64,
     pub request: FilmRequest,
     /// Folder of the frames. The film's other files lie beside it, with endings.
     frames: PathBuf,
     cameras: Vec<Camera>,
-    /// Number of frames rendered.
     done: usize,
 }
 
@@ -44,7 +39,6 @@ impl Film {
         Ok(Film { client, request, frames, cameras, done: 0 })
     }
 
-    /// True once all frames are rendered.
     pub fn is_rendered(&self) -> bool {
         self.done == self.cameras.len()
     }
@@ -62,7 +56,6 @@ impl Film {
         Ok(Some(json!({ "type": "film", "done": self.done, "total": self.cameras.len() })))
     }
 
-    /// Removes the files that this film wrote.
     pub fn discard(&self) {
         std::fs::remove_dir_all(&self.frames).ok();
         std::fs::remove_file(self.frames.with_extension("json")).ok();
@@ -79,7 +72,6 @@ impl Film {
         Ok(json!({ "gif": gif, "mp4": mp4, "path": path, "frames": self.frames, "note": note }))
     }
 
-    /// Name of the film's file with this ending.
     fn name(&self, ending: &str) -> String {
         self.frames.with_extension(ending).file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
@@ -89,13 +81,7 @@ impl Film {
         let ending = if container == Container::Gif { "gif" } else { "mp4" };
         let mut frame = |index: usize| {
             let path = output::numbered(&self.frames, index, "png");
-            let photo = Photo::read(path, [0.0; 3])?;
-            let width = photo.width.min(widest);
-            if width == photo.width {
-                return Ok(photo);
-            }
-            let height = (photo.height * width / photo.width).max(1);
-            photo.scaled_to(width, height)
+            output::narrowed(Photo::read(path, [0.0; 3])?, widest)
         };
         let per_second = self.request.frames_per_second;
         let frames = Frames { count: self.done, per_second, frame: &mut frame, abandoned };

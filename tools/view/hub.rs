@@ -31,7 +31,6 @@ const MAX_ACTIONS: usize = 64;
 /// Answer to a request for the current Gaussians, to write them to a file. An error says in words why there are none.
 pub type SceneAnswer = oneshot::Sender<Result<CurrentScene, String>>;
 
-/// The scene now.
 #[derive(Debug)]
 pub struct CurrentScene {
     pub gaussians: Gaussians,
@@ -62,15 +61,12 @@ pub enum Task {
     },
 }
 
-/// One page.
 #[derive(Default)]
 struct Client {
     out: Arc<Outbox>,
-    /// The newest camera.
     view: Option<ViewRequest>,
     /// True if the camera or the scene has changed since the last frame.
     stale: bool,
-    /// True if a frame is under way.
     in_flight: bool,
     picks: VecDeque<Pick>,
     edits: VecDeque<Edit>,
@@ -84,7 +80,6 @@ struct State {
     next_client: u64,
     turn: u64,
     scenes: VecDeque<(GaussianSet, SceneAnswer)>,
-    /// Turn in which a film was served last.
     film_served: u64,
     actions: VecDeque<TrainAction>,
     /// Waiting films, at most one of each page.
@@ -93,9 +88,7 @@ struct State {
     filming: Option<u64>,
     /// True if the film in progress is cancelled.
     film_cancelled: bool,
-    /// Names of the files of finished films.
     film_files: BTreeSet<String>,
-    /// First message to every page.
     greeting: String,
     /// The scene's `run` in this message.
     run: String,
@@ -103,7 +96,6 @@ struct State {
     status: Option<Box<dyn Fn(u32) -> String + Send>>,
 }
 
-/// See the module.
 #[derive(Default)]
 pub struct Hub {
     state: Mutex<State>,
@@ -140,7 +132,6 @@ impl Hub {
         self.change(|state| state.status = Some(Box::new(status)));
     }
 
-    /// True if another page may join.
     pub fn accepts_pages(&self) -> bool {
         self.pages() < MAX_PAGES
     }
@@ -173,7 +164,6 @@ impl Hub {
         self.lock().clients.len()
     }
 
-    /// True if a page of this number is connected.
     pub fn has_page(&self, client: u64) -> bool {
         self.lock().clients.contains_key(&client)
     }
@@ -183,7 +173,6 @@ impl Hub {
         self.change(|state| state.clients.get_mut(&client).map(change))
     }
 
-    /// Sets the newest camera of a page.
     pub fn set_view(&self, client: u64, view: ViewRequest) {
         self.change_client(client, |client| (client.view, client.stale) = (Some(view), true));
     }
@@ -232,7 +221,6 @@ impl Hub {
         self.change(|state| state.status.is_some() && queue(&mut state.actions, action, MAX_ACTIONS))
     }
 
-    /// Takes all queued training actions.
     pub fn actions(&self) -> Vec<TrainAction> {
         self.lock().actions.drain(..).collect()
     }
@@ -286,7 +274,6 @@ impl Hub {
         self.lock().film_cancelled
     }
 
-    /// Marks the film in progress as ended.
     pub fn film_ended(&self) {
         self.change(|state| (state.filming, state.film_cancelled) = (None, false));
     }
@@ -301,7 +288,6 @@ impl Hub {
         self.lock().film_files.contains(name)
     }
 
-    /// True if a film is in progress or waits.
     pub fn has_films(&self) -> bool {
         self.lock().has_films()
     }

@@ -44,7 +44,7 @@ use glam::Vec3;
 use hub::Hub;
 use loaded_scene::{OpenScenes, SceneArguments, is_plain_name};
 use loading::Loading;
-use openings::{OpenRequest, Openings, PortAccess};
+use openings::{OpenRequest, Openings};
 use protocol::ToPage;
 use render_thread::RenderThread;
 use server::{AppState, ServeArguments};
@@ -129,8 +129,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let hub = Arc::new(Hub::default());
     let name = arguments.path.as_ref().map(|path| path.display().to_string());
     hub.greet_with(&loading::message(name.as_deref().unwrap_or_default()));
-    let state = AppState::new(hub.clone(), out.clone(), arguments.serve.clone());
-    let state = Arc::new(state.with_openings(openings.clone()));
+    let mut state = AppState::new(hub.clone(), out.clone(), arguments.serve.clone());
+    state.openings.clone_from(&openings);
+    let state = Arc::new(state);
     let server = server::start(listener, state.clone())?;
     announce(server.address, &arguments.serve);
     outln!(
@@ -231,7 +232,6 @@ impl<'a> ViewerSession<'a> {
         }
     }
 
-    /// Adds a scene to those that are open.
     fn added(&self, new: LoadedScene, mut open: OpenScenes, renderer: &SceneRenderer) -> Result<LoadedScene> {
         let name = &new.name;
         if new.tree.is_some() || renderer.tree().is_some() {
@@ -280,7 +280,6 @@ impl<'a> ViewerSession<'a> {
 }
 
 impl Arguments {
-    /// Loads the scene that the arguments name.
     #[cfg(feature = "window")]
     fn load_path(&self, stop: &AtomicBool) -> Result<LoadedScene> {
         self.path.as_ref().map_or_else(|| Ok(LoadedScene::nothing()), |path| self.load(path, None, stop))
@@ -297,9 +296,9 @@ impl Arguments {
         let folder = match self.path {
             // Everyone who sees the page may list a folder that the command names. The shell's folder is for this machine only.
             Some(_) => self.folder_of_scenes().map(Path::to_owned),
-            None => std::env::current_dir()
-                .ok()
-                .filter(|_| server::port_access(listener, &self.serve) == PortAccess::ThisMachine),
+            None => {
+                std::env::current_dir().ok().filter(|_| server::is_for_this_machine(listener, &self.serve))
+            }
         };
         (self.path.is_none() || folder.is_some()).then(|| Arc::new(Openings::new(folder, max_bytes)))
     }

@@ -8,10 +8,9 @@ use super::protocol::CameraMessage;
 use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, Similarity, WorldFrame, without_strays};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
-use ashsplat_files::quoted;
 use ashsplat_files::splats::{Format, ReadOptions, Target};
 use ashsplat_files::tiles::Tree;
-use ashsplat_files::{DatasetOptions, Gallery};
+use ashsplat_files::{DatasetOptions, Gallery, quoted};
 use ashsplat_program::appearance::Appearances;
 use ashsplat_program::args::HostArguments;
 use ashsplat_program::config::{DataSettings, Settings};
@@ -32,19 +31,15 @@ const POINTS_SH_DEGREE: u32 = 0;
 /// Size of the first picture, before the page requests its own.
 const START_SIZE: [u32; 2] = [1280, 720];
 
-/// A scene to look at.
 #[derive(Default)]
 pub struct LoadedScene {
     pub name: String,
     pub gaussians: Gaussians,
     /// Coordinate frame of Gaussians and cameras within their files' coordinates.
     pub frame: WorldFrame,
-    /// Render settings that it was trained with.
     pub base: RenderSettings,
-    /// Cameras of the photos, if there are any.
     pub cameras: Vec<NamedCamera>,
     pub photos: Option<Arc<Photos>>,
-    /// Exposure and lens effects of the photos.
     pub appearances: PhotoAppearances,
     /// Text on the page: instead of an empty scene, otherwise below the name.
     pub note: Option<String>,
@@ -60,7 +55,6 @@ pub struct LoadedScene {
     pub up: Option<Vec3>,
 }
 
-/// One of several scenes.
 #[derive(Clone, Debug)]
 pub struct ScenePart {
     pub name: String,
@@ -83,7 +77,6 @@ pub struct OpenScenes {
 pub struct Streamed {
     pub tree: Arc<Tree>,
     pub read: ReadOptions,
-    /// Most Gaussians of a picture.
     pub budget: usize,
     /// Tiles whose links lead out of this folder are not read.
     pub within: Option<PathBuf>,
@@ -330,7 +323,6 @@ impl LoadedScene {
         (Orbit { up: self.up.unwrap_or(orbit.up), ..orbit }, start)
     }
 
-    /// First message to a page.
     pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
         let (orbit, start) = self.first_view();
         let statistics = self.gaussians.statistics();
@@ -344,10 +336,12 @@ impl LoadedScene {
             json!({ "name": named.name, "label": label, "camera": camera, "lit": lit, "held_out": held_out })
         };
         let photos = self.cameras.iter().zip(labels(&names)).enumerate().map(photo);
+        // Unique to this run, so that no browser reuses another run's photos.
+        let run = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_nanos();
         json!({
             "type": "scene",
             "name": self.name,
-            "run": run_name(),
+            "run": format!("{run:x}"),
             "joined": self.joined,
             "note": self.note,
             "frame": { "origin": self.frame.origin.to_array(), "unit": self.frame.unit },
@@ -385,7 +379,6 @@ impl LoadedScene {
         if stem.is_empty() { "scene".into() } else { stem.into() }
     }
 
-    /// Start of a command that cuts the scene.
     fn convert_command(&self) -> Option<String> {
         let parts = self.open_scenes().parts;
         let files: Option<Vec<&str>> = parts.iter().map(|part| part.file.as_ref()?.to_str()).collect();
@@ -419,12 +412,6 @@ fn word_of(path: &str) -> Option<String> {
     }
     // These letters begin an option or have a meaning for a shell.
     Some(if path.starts_with(['-', '=', '@']) { quoted(&format!("./{path}")) } else { quoted(path) })
-}
-
-/// A word unique to this run, so that no browser reuses another run's photos.
-fn run_name() -> String {
-    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    format!("{:x}", now.as_nanos())
 }
 
 /// The cameras of a model, without the orthographic ones: the viewer shows none of these.

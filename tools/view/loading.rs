@@ -26,7 +26,6 @@ impl<'scope> Loading<'scope> {
         Ok(Loading { request, thread })
     }
 
-    /// True if [`Loading::finish`] would not wait.
     pub fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }

@@ -9,14 +9,6 @@ use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// The machines that reach the viewer's port.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PortAccess {
-    ThisMachine,
-    Others,
-}
-
-/// The scenes that pages may open.
 pub struct Openings {
     /// Pages may name paths in this folder or below; none: no paths.
     folder: Option<PathBuf>,
@@ -32,7 +24,6 @@ pub struct Openings {
 #[derive(Default)]
 pub struct OpenRequest {
     pub path: PathBuf,
-    /// Name for people.
     pub name: String,
     /// True if it joins the scenes that are open, instead of replacing them.
     pub add: bool,
@@ -60,7 +51,6 @@ impl Openings {
         Openings { folder, max_bytes, permit, listing, request: Mutex::default() }
     }
 
-    /// Describes the limits to a page.
     pub fn described(&self) -> Value {
         json!({ "folder": self.folder.as_deref().map(name_of), "bytes": self.max_bytes, "formats": single_files(&Format::ALL) })
     }
@@ -129,7 +119,6 @@ const MAX_LISTED: usize = 200;
 /// Most entries of a folder that are looked at for a list.
 const MAX_READ: usize = 10_000;
 
-/// True if a scene in this format is one file.
 fn is_single_file(format: &Format) -> bool {
     *format != Format::Gltf
 }

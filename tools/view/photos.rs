@@ -6,7 +6,8 @@ use super::draw;
 #[cfg(feature = "window")]
 use ashsplat::Error;
 use ashsplat::Result;
-use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
+use ashsplat_files::{Gallery, Photo};
+use ashsplat_program::output;
 use ashsplat_program::session::locked;
 use axum::body::Bytes;
 use queue::{Permit, Queue};
@@ -24,29 +25,23 @@ const THUMBNAIL_QUALITY: u8 = 75;
 const THUMBNAIL_WIDTH: u32 = 140;
 /// Memory for decoding photos, MiB. A photo that takes more is decoded alone.
 const DECODING_MIB: u32 = 512;
-/// Most photos that are decoded at once.
 const DECODERS: u32 = 2;
 /// Bytes per pixel while a photo is decoded, scaled and encoded.
 const BYTES_PER_PIXEL: u64 = 8;
 /// Memory of photos that are being sent, MiB. A page that does not read occupies its share.
 const SENDING_MIB: u32 = 128;
 
-/// Requested size of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
-    /// The size that training uses.
     Full,
     Thumbnail,
 }
 
-/// Why there is no photo.
 #[derive(Debug)]
 pub enum Refusal {
     /// No photo has this number.
     Unknown,
-    /// Too many requests.
     Busy,
-    /// It cannot be read.
     Problem(String),
 }
 
@@ -105,7 +100,6 @@ impl Photos {
         }
     }
 
-    /// True if a photo is held out from training.
     pub fn is_held_out(&self, index: usize) -> bool {
         self.gallery.held_out().get(index).is_some_and(|held_out| *held_out)
     }
@@ -167,7 +161,6 @@ impl Photos {
     }
 }
 
-/// A photo that is being sent.
 struct SentPhoto {
     bytes: Arc<Vec<u8>>,
     _permit: Permit,
@@ -183,9 +176,7 @@ fn encode(photo: &Photo, size: Size) -> Result<Vec<u8>> {
     match size {
         Size::Full => draw::encode(photo, QUALITY),
         Size::Thumbnail => {
-            let width = photo.width.min(THUMBNAIL_WIDTH);
-            let height = (photo.height * width / photo.width).max(1);
-            draw::encode(&photo.clone().scaled_to(width, height)?, THUMBNAIL_QUALITY)
+            draw::encode(&output::narrowed(photo.clone(), THUMBNAIL_WIDTH)?, THUMBNAIL_QUALITY)
         }
     }
 }

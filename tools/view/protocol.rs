@@ -9,10 +9,8 @@ use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-/// Most pixels of a requested picture.
 pub const MAX_PIXELS: u64 = 3840 * 2400;
 
-/// An edit as a page sends it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "lowercase")]
 pub enum Edit {
@@ -23,11 +21,8 @@ pub enum Edit {
         #[serde(default)]
         cut: CutMessage,
     },
-    /// Hides the selected Gaussians.
     Hide,
-    /// Shows all hidden Gaussians.
     Show,
-    /// Deletes the selected Gaussians.
     Delete,
     Undo,
     Redo,
@@ -61,7 +56,6 @@ pub enum Region {
     },
 }
 
-/// Effect of a region on the selection.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum SelectionOp {
@@ -83,7 +77,6 @@ pub struct CameraMessage {
     pub fy: f32,
     pub cx: f32,
     pub cy: f32,
-    /// Size of the picture, pixels.
     pub width: u32,
     pub height: u32,
     /// Lens of the photo that the view is exactly of; none for pinholes.
@@ -140,7 +133,6 @@ impl CameraMessage {
     }
 }
 
-/// The page's view modes.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
@@ -168,7 +160,6 @@ impl Mode {
     }
 }
 
-/// The page's render settings.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(default)]
 pub struct ViewSettings {
@@ -229,7 +220,6 @@ pub struct Pick {
     pub pixel: [u32; 2],
 }
 
-/// A key camera of a path.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub struct PathKey {
     pub position: [f32; 3],
@@ -253,7 +243,6 @@ pub struct FilmRequest {
     pub look: ViewSettings,
 }
 
-/// A message from a page.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "type", rename_all = "lowercase")]
 pub enum FromPage {
@@ -267,13 +256,10 @@ pub enum FromPage {
         #[serde(default)]
         since: u32,
     },
-    /// Controls training.
     Train {
         action: TrainAction,
     },
-    /// Requests a film along a path.
     Film(FilmRequest),
-    /// Cancels the film.
     Cancel,
     /// Changes the selection, or what is drawn of the scene, for all pages.
     Edit(EditRequest),
@@ -287,7 +273,6 @@ pub struct EditRequest {
     pub edit: Edit,
 }
 
-/// Controls of training.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum TrainAction {
@@ -299,7 +284,6 @@ pub enum TrainAction {
     Stop,
 }
 
-/// A message to a page.
 #[derive(Clone, Debug)]
 pub enum ToPage {
     Text(String),
@@ -311,7 +295,6 @@ impl ToPage {
         Self::Text(value.to_string())
     }
 
-    /// Packs header and picture.
     pub fn frame(header: &Value, picture: &[u8]) -> Self {
         let header = header.to_string();
         let length = u32::try_from(header.len()).unwrap_or_default();
@@ -323,7 +306,6 @@ impl ToPage {
         Self::json(&json!({ "type": "film", "cancelled": true }))
     }
 
-    /// An error message for people.
     pub fn problem(message: &str) -> Self {
         Self::json(&json!({ "type": "problem", "message": message }))
     }

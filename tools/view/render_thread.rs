@@ -24,16 +24,13 @@ const MAX_ASSEMBLED: usize = 2;
 /// Pause before a film checks again for its next frame's tiles: pages are served meanwhile.
 const TILE_WAIT: Duration = Duration::from_millis(5);
 
-/// Serves pages with pictures of any scene.
 pub struct RenderThread {
     hub: Arc<Hub>,
     /// Render settings that the scene was trained with.
     base: RenderSettings,
-    /// Exposure and lens effects of its photos.
     appearances: PhotoAppearances,
     /// Coordinate frame of the scene within its files' coordinates.
     frame: WorldFrame,
-    /// Folder of the films.
     films: PathBuf,
     film: Option<Film>,
     sizes: Sizes,
@@ -106,7 +103,6 @@ impl RenderThread {
         Ok(())
     }
 
-    /// Answers a request for a frame.
     fn answer(&self, scene: &mut dyn ViewedScene, request: &ViewRequest) -> Result<ToPage> {
         let camera = request.camera.camera()?;
         let appearance =
@@ -142,7 +138,6 @@ impl RenderThread {
         }
     }
 
-    /// Sets the viewer of the next picture.
     fn set_viewer(&self, scene: &mut dyn ViewedScene, page: u64, look: &ViewSettings) {
         scene.set_viewer(&ViewerSettings {
             viewer: Viewer { page, films: false },
@@ -155,7 +150,6 @@ impl RenderThread {
         });
     }
 
-    /// Sends an answer, or its error.
     fn reply(&self, client: u64, answer: Result<ToPage>) -> Result<()> {
         match answer {
             Ok(message) => self.hub.send(client, message),

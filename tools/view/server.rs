@@ -10,7 +10,7 @@ mod page;
 
 use super::assets;
 use super::hub::Hub;
-use super::openings::{Openings, PortAccess};
+use super::openings::Openings;
 use super::photos::{Client, Photos, Refusal, Size};
 use ashsplat::{Error, Result};
 use ashsplat_program::session::locked;
@@ -75,33 +75,24 @@ pub fn origin(text: &str) -> std::result::Result<String, String> {
 /// Threads for photos; exports have their own.
 const WORKERS: usize = 2;
 
-/// State that requests are answered from.
 pub struct AppState {
     hub: Arc<Hub>,
     photos: Mutex<Option<Arc<Photos>>>,
-    /// Folder of the films.
     films: PathBuf,
     serve: ServeArguments,
     /// Limits the message about refused foreign pages to one.
     refused: Once,
     /// None if pages may open nothing.
-    openings: Option<Arc<Openings>>,
+    pub openings: Option<Arc<Openings>>,
     exports: Arc<Semaphore>,
 }
 
 impl AppState {
-    /// `films`: folder of the films.
     pub fn new(hub: Arc<Hub>, films: PathBuf, serve: ServeArguments) -> AppState {
         let exports = Arc::new(Semaphore::new(export::MAX_EXPORTS));
         Self { hub, photos: Mutex::default(), films, serve, refused: Once::new(), openings: None, exports }
     }
 
-    /// Lets pages open scenes.
-    pub fn with_openings(self, openings: Option<Arc<Openings>>) -> AppState {
-        AppState { openings, ..self }
-    }
-
-    /// Replaces the photos.
     pub fn show_photos(&self, photos: Option<Arc<Photos>>) {
         *locked(&self.photos) = photos;
     }
@@ -111,19 +102,14 @@ impl AppState {
     }
 }
 
-/// The machines that reach the open port, also through a proxy.
-pub fn port_access(listener: &TcpListener, arguments: &ServeArguments) -> PortAccess {
-    match listener.local_addr() {
-        Ok(address) if address.ip().is_loopback() && arguments.allow_origin.is_none() => {
-            PortAccess::ThisMachine
-        }
-        _ => PortAccess::Others,
-    }
+/// True if only this machine reaches the open port, also through a proxy.
+pub fn is_for_this_machine(listener: &TcpListener, arguments: &ServeArguments) -> bool {
+    let is_loopback = listener.local_addr().is_ok_and(|address| address.ip().is_loopback());
+    is_loopback && arguments.allow_origin.is_none()
 }
 
 /// The running server. Dropping it also drops what its state holds, such as an unpacked data set.
 pub struct Server {
-    /// Address of the page.
     pub address: SocketAddr,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
@@ -138,7 +124,6 @@ impl Drop for Server {
     }
 }
 
-/// Starts to serve at an open port.
 pub fn start(listener: TcpListener, state: impl Into<Arc<AppState>>) -> Result<Server> {
     let state = state.into();
     let failed = |e: std::io::Error| Error::argument("viewer", format!("cannot listen: {e}"));
@@ -235,7 +220,6 @@ async fn asset(uri: Uri) -> Response {
     }
 }
 
-/// A refusal with a text.
 fn refusal(code: StatusCode, problem: &str) -> Response {
     (code, format!("{}: {problem}\n", code.as_u16())).into_response()
 }
@@ -260,7 +244,7 @@ async fn photo(
     uri: Uri,
 ) -> Response {
     let page = access::query_value(&uri, "page").and_then(|page| page.parse().ok());
-    let client = Client { peer: connection.peer(), page: page.filter(|page| state.hub.has_page(*page)) };
+    let client = Client { peer: connection.peer, page: page.filter(|page| state.hub.has_page(*page)) };
     let Some(photos) = state.photos() else { return StatusCode::NOT_FOUND.into_response() };
     // Photo addresses carry the run's name, so another scene at this port has different ones.
     match photos.jpeg(index, size, client).await {
@@ -285,7 +269,7 @@ async fn film(State(state): State<Arc<AppState>>, UrlPath(name): UrlPath<String>
         Some((_, "json")) => "application/json",
         _ => "application/octet-stream",
     };
-    match files::body(&state.films.join(&name)) {
+    match files::body(&state.films.join(&name), ()) {
         Some(body) => ([(header::CONTENT_TYPE, kind)], body).into_response(),
         None => StatusCode::NOT_FOUND.into_response(),
     }

@@ -28,7 +28,6 @@ pub struct SceneRenderer {
     edits: Option<Edits>,
     /// Mask of the selection, a bit per drawn Gaussian.
     mask: Option<Buffer>,
-    /// True if the next picture shows the selection.
     shows_selection: bool,
     /// Storage of SH; none for the smallest that is exact.
     sh_storage: Option<ShStorage>,
@@ -42,19 +41,15 @@ const SELECTION: ([f32; 3], f32) = ([1.0, 0.45, 0.0], 0.65);
 /// Called on any thread: with a message for people, or with none when a tile was loaded or has failed, so that the picture is drawn again.
 pub type OnTile = Arc<dyn Fn(Option<String>) + Send + Sync>;
 
-/// The displayed tree.
 struct Streaming {
     tree: Arc<Tree>,
     residency: Residency<DeviceScene>,
     loader: Loader,
     on_tile: OnTile,
-    /// The program's budget, Gaussians.
     budget: usize,
-    /// The current viewer and its budget.
     current: (Viewer, usize),
     /// Most Gaussians that the device has had memory for; caps every viewer's budget.
     limit: usize,
-    /// Figures of the last picture.
     shown: Value,
 }
 
@@ -312,7 +307,7 @@ impl ViewedScene for SceneRenderer {
     }
 
     fn edits(&self) -> Option<&Value> {
-        self.edits.as_ref().map(Edits::figures)
+        self.edits.as_ref().map(|edits| &edits.figures)
     }
 
     fn shrink(&mut self) {

@@ -5,8 +5,7 @@ use super::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_demo_scene::city::{self, City};
-use ashsplat_demo_scene::raycast;
-use ashsplat_demo_scene::{Scene, View};
+use ashsplat_demo_scene::{Scene, View, raycast};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::transforms::opengl_rows;
 use ashsplat_files::{Photo, ply};
@@ -29,7 +28,6 @@ const FOV_X: f32 = 0.96;
 const VIEWS_PER_CIRCLE: u32 = 20;
 /// Heights of the two circles, as angles above the terrace, radians.
 const ELEVATIONS: [f32; 2] = [0.27, 0.72];
-/// Distance of the cameras to their target.
 const DISTANCE: f32 = 4.0;
 /// Target of the cameras: the middle of the group.
 const TARGET: Vec3 = vec3(0.0, 0.0, 0.45);
@@ -98,7 +96,6 @@ pub struct Choices {
 }
 
 impl Choices {
-    /// Refuses choices that contradict each other.
     pub fn check(&self) -> Result<()> {
         if self.lens != Lens::Pinhole && self.layout == Layout::NerfSynthetic {
             let problem = "is not for --layout nerf-synthetic, which has angles of view only";

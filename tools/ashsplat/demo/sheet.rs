@@ -13,7 +13,6 @@ const CAPTION: u32 = 14;
 const PAPER: [u8; 3] = [24, 24, 28];
 const INK: [u8; 3] = [225, 225, 225];
 
-/// One held-out view.
 pub struct Row {
     pub photo: std::sync::Arc<Photo>,
     pub render: Photo,

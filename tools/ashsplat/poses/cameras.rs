@@ -31,11 +31,9 @@ pub struct Cameras<'a> {
     pub stop: &'a AtomicBool,
     pub photos: &'a PhotoFiles,
     pub infos: &'a [PhotoInfo],
-    /// True if COLMAP may use a GPU.
     pub gpu: bool,
 }
 
-/// Result of COLMAP's stages.
 pub struct Reconstruction {
     /// The folder of the largest model.
     pub model: PathBuf,
@@ -198,7 +196,6 @@ impl Cameras<'_> {
         Ok(format!("{:016x}", hasher.finish()))
     }
 
-    /// Reports the time of a stage.
     fn note_stage(&self, name: &str, begin: Instant, about: &str) {
         let took = time(begin.elapsed().as_secs_f64());
         self.arguments.note(&format!("{name:<11} {took}: {about}"));
@@ -232,12 +229,12 @@ impl Cameras<'_> {
         let images = images.map_err(|e| Error::io(&self.photos.folder, "find", e))?;
         let options = DatasetOptions { images: images.to_string_lossy().into_owned(), ..Default::default() };
         let progress = Progress { report: None, interrupted: Some(self.stop) };
-        let gallery = Gallery::open(workspace.folder(), &options, progress)?;
+        let gallery = Gallery::open(&workspace.folder, &options, progress)?;
         let registered: HashSet<String> = gallery.cameras().into_iter().map(|camera| camera.name).collect();
         if registered.len() < MIN_PHOTOS {
             return Err(self.unconnected(registered.len(), log));
         }
-        let model = ashsplat_files::colmap::find(workspace.folder())?.folder;
+        let model = ashsplat_files::colmap::find(&workspace.folder)?.folder;
         Ok(Reconstruction { model, registered, points: gallery.points().len(), models })
     }
 }

@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicBool;
 
-/// Commands that install COLMAP.
 const INSTALL: &str = "`apt install colmap` on Debian and Ubuntu, `brew install colmap` on macOS, the ZIP of \
                        https://github.com/colmap/colmap/releases on Windows, elsewhere `conda install -c conda-forge colmap`; \
                        --colmap gives its path";
@@ -127,7 +126,6 @@ impl Colmap {
     }
 }
 
-/// Inputs of a stage.
 #[derive(Clone, Debug)]
 pub struct Job {
     pub database: PathBuf,
@@ -154,7 +152,6 @@ fn chosen(option: &Option<String>, value: impl Into<OsString>) -> Vec<OsString> 
     option.iter().map(OsString::from).zip([value.into()]).flat_map(|(name, value)| [name, value]).collect()
 }
 
-/// Which photographs are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Matcher {
     /// Each with every other.
@@ -164,7 +161,6 @@ pub enum Matcher {
 }
 
 impl Matcher {
-    /// Unit of COLMAP's progress while it matches.
     pub fn unit(self) -> &'static str {
         match self {
             Matcher::Exhaustive => "blocks of pairs",
@@ -180,7 +176,6 @@ impl Matcher {
     }
 }
 
-/// Progress of a stage by COLMAP's output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColmapProgress {
     /// Finished steps, and all steps.

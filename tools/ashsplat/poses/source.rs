@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 /// Largest depth of nested folders that are searched.
 const MAX_DEPTH: usize = 32;
 
-/// A source of photographs.
 #[derive(Debug)]
 pub enum Source {
     Photos(Photos),
@@ -24,13 +23,11 @@ pub enum Source {
 /// Photographs and the folder of their data set.
 #[derive(Debug)]
 pub struct Photos {
-    /// Folder of the photographs.
     pub folder: PathBuf,
     /// Paths of the photographs below it, sorted.
     pub names: Vec<String>,
     /// Number of pictures that cannot be read, and the name of one.
     pub others: Option<(usize, String)>,
-    /// The folder of the data set.
     pub dataset: PathBuf,
     /// True if the data set reads them in place; otherwise they are linked into its folder `images`.
     pub in_place: bool,
@@ -59,7 +56,6 @@ impl Source {
         Ok(Self::Video(path.to_owned(), dataset))
     }
 
-    /// The folder of the data set.
     pub fn dataset(&self) -> &Path {
         match self {
             Self::Photos(photos) => &photos.dataset,
@@ -162,7 +158,6 @@ impl Listing {
         Ok(Photos { names, others, dataset, in_place, folder })
     }
 
-    /// The error for a folder without photographs.
     fn nothing(&self, folder: &Path) -> Error {
         let below = |names: &[PathBuf]| names.first().map(|name| folder.join(name));
         let command = |path: PathBuf| format!("`ashsplat poses {}`", quoted(&path.to_string_lossy()));

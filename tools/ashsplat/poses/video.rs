@@ -27,14 +27,12 @@ const MAX_FRAMES: usize = 10_000;
 const PER_SECOND: f64 = 2.0;
 const USUAL: [usize; 2] = [40, 150];
 
-/// Properties of a video by its container.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Video {
     pub seconds: f64,
     pub frames: usize,
 }
 
-/// Requested number of frames.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameRequest {
     pub frames: Option<usize>,
@@ -50,7 +48,6 @@ impl FrameRequest {
         count.clamp(1, video.frames.clamp(1, MAX_FRAMES))
     }
 
-    /// The requested number, if any.
     pub fn requested(self, video: &Video) -> Option<usize> {
         self.frames.or_else(|| self.every.map(|seconds| intervals(video, seconds)))
     }
@@ -64,7 +61,6 @@ fn intervals(video: &Video, seconds: f64) -> usize {
 pub struct Reader<'a> {
     pub program: &'a OsStr,
     pub path: &'a Path,
-    /// Memory budget of frames.
     pub max_bytes: u64,
     pub stop: &'a AtomicBool,
 }
@@ -210,7 +206,6 @@ impl Video {
     }
 }
 
-/// Rate at which frames are examined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rate {
     per_second: f64,
@@ -231,7 +226,6 @@ impl Rate {
         format!("fps={:.6},scale=in_color_matrix=auto,format=rgb24", self.per_second)
     }
 
-    /// The interval of a frame.
     fn interval(&self, index: usize, count: usize) -> usize {
         let share = index as f64 / (self.per_second * self.seconds);
         ((share * count as f64 + 1e-6) as usize).min(count - 1)

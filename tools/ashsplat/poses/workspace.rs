@@ -2,8 +2,7 @@
 
 use ashsplat::{Error, Result};
 use ashsplat_files::colmap::UNFINISHED_POSES as FOLDER;
-use ashsplat_files::regular_file;
-use ashsplat_files::{atomic, colmap};
+use ashsplat_files::{atomic, colmap, regular_file};
 use ashsplat_program::lock::{FolderLock, LockKind};
 use ashsplat_program::output;
 use serde::{Deserialize, Serialize};
@@ -21,16 +20,14 @@ const POSES: LockKind = LockKind { file: ".poses.lock", what: "`ashsplat poses`"
 /// Finished stages with keys of their inputs. A stage with the same inputs is not repeated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct State {
-    /// Key of a video's frames.
     frames: Option<String>,
     /// Key of the features in COLMAP's database.
     features: Option<String>,
 }
 
-/// The unfinished work.
 pub struct Workspace {
     dataset: PathBuf,
-    folder: PathBuf,
+    pub folder: PathBuf,
     state: State,
     /// Folders that were created for the work, the innermost first.
     new: Vec<PathBuf>,
@@ -93,10 +90,6 @@ impl Workspace {
         Ok(workspace)
     }
 
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
@@ -106,7 +99,6 @@ impl Workspace {
         self.state.frames.is_some() || self.state.features.is_some()
     }
 
-    /// True if the frames of this video exist.
     pub fn has_frames(&self, key: &str) -> bool {
         self.state.frames.as_deref() == Some(key) && self.path("frames").is_dir()
     }
@@ -137,7 +129,6 @@ impl Workspace {
         remove(&self.path(name))
     }
 
-    /// Creates an empty folder of the work.
     pub fn fresh_folder(&self, name: &str) -> Result<PathBuf> {
         self.remove(name)?;
         atomic::create_folder(self.path(name))?;
@@ -182,7 +173,6 @@ impl Workspace {
         remove(&self.folder)
     }
 
-    /// Removes everything of a failed run.
     pub fn abandon(self) {
         remove(&self.folder).ok();
         // A folder with a file of another program stays.

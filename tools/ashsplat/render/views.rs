@@ -17,7 +17,6 @@ use std::path::{Path, PathBuf};
 
 /// Largest number of views of an orbit or a curve: an hour of film at 28 frames per second.
 const MAX_FRAMES: i64 = 100_000;
-/// Default number of frames of a film.
 const FILM_FRAMES: u32 = 240;
 
 /// The views.
@@ -87,17 +86,14 @@ pub struct SizeArguments {
     camera_model: Option<Lens>,
 }
 
-/// The views to render.
 pub struct Views {
     pub cameras: Vec<NamedCamera>,
     /// Lens of each photograph, which the arguments may have replaced in its camera; empty for orbits.
     pub lenses: Vec<PhotoLens>,
-    /// A note on the choice of views.
     pub note: Option<String>,
 }
 
 impl Arguments {
-    /// Refuses contradictory arguments.
     pub fn check(&self) -> Result<()> {
         match (self.frames, &self.path) {
             (Some(count), None) => {
@@ -296,7 +292,6 @@ fn by_name(a: &str, b: &str) -> Ordering {
     left.len().cmp(&right.len()).then_with(|| a.cmp(b))
 }
 
-/// Checks and numbers cameras.
 fn named(cameras: Vec<Camera>, word: &str) -> Result<Vec<NamedCamera>> {
     let named = |(index, camera): (usize, Camera)| {
         camera.check()?;
@@ -356,7 +351,6 @@ impl SizeArguments {
         }
     }
 
-    /// The camera with the requested lens.
     fn through_lens(&self, camera: Camera) -> Result<Camera> {
         let Some(lens) = self.camera_model else { return Ok(camera) };
         if camera.is_orthographic() {
@@ -393,7 +387,6 @@ impl SizeArguments {
         }
     }
 
-    /// The camera at the requested size and field of view.
     fn applied_to(&self, camera: &Camera) -> Result<Camera> {
         let [width, height] = self.of(camera);
         let mut camera = camera.fitted_to(width, height);

@@ -68,7 +68,6 @@ impl Run {
         Err(Error::argument("training", problem))
     }
 
-    /// Counts and shows an iteration.
     pub(super) fn account(&mut self, report: &StepReport) {
         self.gaussians = report.gaussians;
         self.non_finite += u64::from(report.skipped_non_finite);

@@ -21,10 +21,8 @@ const LAST_FILE: &str = "last_checkpoint";
 /// File with the iterations of passing checkpoints, which are removed when a newer one is written.
 const PASSING_FILE: &str = "passing_checkpoints";
 
-/// Checkpoint that a training continues from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StartFrom {
-    /// The newest checkpoint of the model folder.
     Latest,
     /// The newest checkpoint, or a new start without one: for schedulers that retry.
     Auto,
@@ -43,11 +41,10 @@ impl From<OsString> for StartFrom {
     }
 }
 
-/// A checkpoint to continue from.
 pub struct ResumePoint {
-    from: StartFrom,
+    pub from: StartFrom,
     path: PathBuf,
-    checkpoint: Checkpoint,
+    pub checkpoint: Checkpoint,
 }
 
 impl ResumePoint {
@@ -65,11 +62,6 @@ impl ResumePoint {
         Ok(Some(ResumePoint { from: from.clone(), path, checkpoint }))
     }
 
-    /// True if the start is automatic; a scheduler may retry a training that is complete.
-    pub fn is_automatic(&self) -> bool {
-        self.from == StartFrom::Auto
-    }
-
     /// Prepares to continue in the model folder. A passing checkpoint that was named explicitly is kept.
     pub fn keep(&self, folder: &Path) -> Result<()> {
         let passing = passing(folder);
@@ -83,10 +75,6 @@ impl ResumePoint {
     pub fn is_of(&self, folder: &Path) -> bool {
         let parent = self.path.canonicalize().ok().and_then(|path| Some(path.parent()?.to_owned()));
         parent.is_some() && parent == folder.canonicalize().ok()
-    }
-
-    pub fn checkpoint(&self) -> &Checkpoint {
-        &self.checkpoint
     }
 
     pub fn iteration(&self) -> u32 {
@@ -190,10 +178,7 @@ impl Run {
     fn command_to_go_on(&self) -> String {
         let data = &self.settings.data;
         // It must work in any folder, but the settings have paths as they were typed.
-        let absolute = |path: &Path| {
-            let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-            quoted(&path.to_string_lossy())
-        };
+        let absolute = |path: &Path| quoted(&output::absolute(path).to_string_lossy());
         let relative = [("-s", &data.source_path), ("-m", &data.model_path)];
         let relative = relative.iter().filter(|(_, path)| path.is_relative());
         let mut places: String =
@@ -307,7 +292,6 @@ fn newest(folder: &Path) -> Option<PathBuf> {
     highest.map(|iteration| checkpoint_path(folder, iteration))
 }
 
-/// The iteration of the newest checkpoint.
 pub fn newest_iteration(folder: &Path) -> Option<u32> {
     iteration_of(newest(folder)?.file_name()?.to_str()?)
 }

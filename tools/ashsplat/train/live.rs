@@ -6,6 +6,7 @@ mod tests;
 
 use super::Run;
 use super::allowance::Allowance;
+use super::saving::AGAIN;
 use ashsplat::train::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -52,12 +53,10 @@ fn share(text: &str) -> Result<f64, String> {
 }
 
 impl LiveArguments {
-    /// True if pages also show the photos.
     pub fn wants_photos(&self) -> bool {
         self.view.is_some()
     }
 
-    /// Opens the requested port, if any.
     pub fn open(&self) -> Result<Option<Port>> {
         let Some(port) = self.view else { return Ok(None) };
         let (host, token) = (self.view_host.clone(), self.view_token.clone());
@@ -72,7 +71,6 @@ impl LiveArguments {
 pub struct Port {
     listener: TcpListener,
     serve: ServeArguments,
-    /// See [`LiveArguments`].
     share: f64,
 }
 
@@ -81,14 +79,12 @@ const RENEWAL: Duration = Duration::from_millis(500);
 /// Time between two checks of a paused training.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// The viewers' requests to the training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct TrainRequest {
     save: bool,
     stop: bool,
 }
 
-/// The viewers of a training.
 pub struct Live {
     render_thread: RenderThread,
     hub: Arc<Hub>,
@@ -142,7 +138,10 @@ impl Live {
             self.hub.renew();
         }
         if self.allowance.permits() && self.hub.has_work() {
-            self.timed(|live| live.render_thread.serve(trainer, Duration::ZERO))?;
+            let served = self.render_thread.serve(trainer, Duration::ZERO);
+            self.allowance.spent(self.trains_since.elapsed());
+            self.trains_since = Instant::now();
+            served?;
         }
         Ok(self.take_requests())
     }
@@ -194,31 +193,10 @@ impl Live {
         Ok(())
     }
 
-    /// Notes the PSNR of the tracked views.
-    fn measured(&self, iteration: u32, psnr: f64) {
-        self.note(|curves| curves.psnr(iteration, psnr));
-    }
-
     fn note(&self, change: impl FnOnce(&mut Curves)) {
         change(&mut locked(&self.curves));
     }
 
-    /// Runs a task that counts towards the viewers' share.
-    fn timed(&mut self, task: impl FnOnce(&mut Live) -> Result<()>) -> Result<()> {
-        let start = Instant::now();
-        let result = task(self);
-        self.allowance.spent(start.elapsed());
-        self.trains_since = Instant::now();
-        result
-    }
-
-    /// Reports an error to the pages. Returns it if it must end the training.
-    fn report_error(&self, error: Error) -> Result<()> {
-        self.hub.broadcast(&ToPage::problem(&error.to_string()));
-        render_thread::fatal(error)
-    }
-
-    /// Collects the pages' requests.
     fn take_requests(&mut self) -> TrainRequest {
         let mut request = TrainRequest::default();
         for action in self.hub.actions() {
@@ -236,7 +214,6 @@ impl Live {
 }
 
 impl Run {
-    /// Starts the viewers, if requested.
     pub fn serve(&mut self, port: Option<Port>, context: &Context, gallery: Option<Gallery>) -> Result<()> {
         let Some(port) = port else { return Ok(()) };
         let (data, train) = (&self.settings.data, &self.settings.train);
@@ -298,8 +275,9 @@ impl Run {
                     }
                     Err(error) => {
                         self.progress.warn(&format!("warning: not saved: {error}"));
-                        self.retries.retry_scene();
-                        live.report_error(error)?;
+                        self.retries.scene = Some(Instant::now() + AGAIN);
+                        live.hub.broadcast(&ToPage::problem(&error.to_string()));
+                        render_thread::fatal(error)?;
                     }
                 }
             }
@@ -316,10 +294,9 @@ impl Run {
         self.live.as_ref().is_some_and(|live| live.hub.pages() > 0)
     }
 
-    /// Shows the PSNR of the tracked views.
     pub(super) fn show_psnr(&self, iteration: u32, psnr: f64) {
         if let Some(live) = &self.live {
-            live.measured(iteration, psnr);
+            live.note(|curves| curves.psnr(iteration, psnr));
         }
     }
 

@@ -23,7 +23,6 @@ impl LiveArguments {
     }
 }
 
-/// No viewers.
 pub enum Live {}
 
 impl Run {

@@ -33,14 +33,13 @@ impl PoseMovement {
             [sum / changes.len().max(1) as f64, max]
         };
         PoseMovement {
-            degrees: mean_and_max(&mut changes.iter().map(angle)),
+            degrees: mean_and_max(&mut changes.iter().map(|change| change.omega.length().to_degrees())),
             shares: mean_and_max(
-                &mut changes.iter().map(|change| distance(change) / f64::from(scene_extent)),
+                &mut changes.iter().map(|change| change.exp().1.length() / f64::from(scene_extent)),
             ),
         }
     }
 
-    /// The movement in words.
     pub fn describe(&self) -> String {
         let ([degrees, max_degrees], [share, max_share]) = (self.degrees, self.shares);
         format!(
@@ -50,16 +49,6 @@ impl PoseMovement {
             100.0 * max_share
         )
     }
-}
-
-/// Angle of a rotation, degrees.
-fn angle(change: &Twist) -> f64 {
-    change.omega.length().to_degrees()
-}
-
-/// Distance by which a camera's centre moved, world units.
-fn distance(change: &Twist) -> f64 {
-    change.exp().1.length()
 }
 
 impl Run {

@@ -12,7 +12,6 @@ use std::path::Path;
 /// Number of training views that replace a test set if none is held out.
 const STAND_IN_VIEWS: usize = 5;
 
-/// Input of the trainer.
 #[derive(Clone)]
 pub struct Data {
     pub train: Vec<TrainView>,
@@ -29,7 +28,6 @@ pub struct Views {
     pub cameras: Vec<(String, Camera)>,
     /// The same cameras at the photos' sizes in memory.
     pub used: Vec<Camera>,
-    /// Frame of the cameras.
     pub frame: WorldFrame,
     /// Camera ids by photo name.
     pub takers: BTreeMap<String, u32>,

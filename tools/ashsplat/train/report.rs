@@ -23,10 +23,8 @@ use std::path::Path;
 
 pub use kernels::KernelTimes;
 
-/// The page's name in the model folder.
 pub const REPORT_FILE: &str = "report.html";
 
-/// Number of tables side by side.
 const SETTINGS_COLUMNS: usize = 3;
 
 const STYLE: &str = "
@@ -78,7 +76,6 @@ pub fn write(run: &mut Run, interrupted: bool) -> Result<()> {
 }
 
 impl Run {
-    /// Prints results and costs on stdout.
     pub fn report(&self) {
         for tested in &self.evaluations {
             outln!("{}", self.describe(tested));
@@ -325,7 +322,6 @@ fn settings(settings: &Settings) -> Result<String> {
     Ok(out)
 }
 
-/// Reports that the training is already complete.
 pub fn print_complete(settings: &Settings) -> Result<()> {
     outln!("{} is trained to its end already", settings.data.model_path.display());
     Ok(())

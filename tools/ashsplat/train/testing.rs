@@ -8,13 +8,11 @@ use ashsplat::scene::Camera;
 use ashsplat::{Error, Renderer, Result};
 use ashsplat_files::{Gallery, quoted};
 use ashsplat_program::config::Settings;
-use ashsplat_program::eval;
-use ashsplat_program::eval::{Evaluation, ExtraMeasures, LpipsNetworks, Pictures, Protocol, SceneSize};
+use ashsplat_program::eval::{self, Evaluation, ExtraMeasures, LpipsNetworks, Pictures, Protocol, SceneSize};
 use ashsplat_program::model::point_cloud_path;
 use ashsplat_program::progress::thousands;
 use std::path::PathBuf;
 
-/// Result of the test after an iteration.
 pub struct Tested {
     pub(super) iteration: u32,
     pub(super) gaussians: u32,

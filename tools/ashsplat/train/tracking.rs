@@ -6,14 +6,12 @@ use super::allowance::Allowance;
 use ashsplat::train::{StepReport, Trainer};
 use ashsplat::{RenderSettings, Result, TrainSettings};
 use ashsplat_files::View;
-use ashsplat_program::eval;
-use ashsplat_program::eval::{Evaluation, Protocol};
+use ashsplat_program::eval::{self, Evaluation, Protocol};
 use ashsplat_program::measure::Stopwatch;
 use std::time::{Duration, Instant};
 
 /// Default share of training's time.
 pub(super) const SHARE: f64 = 0.02;
-/// Largest number of tracked views.
 const VIEWS: usize = 8;
 /// Approximate number of points of a run's curve, and the largest interval between two.
 const POINTS: u32 = 200;
@@ -22,7 +20,6 @@ const MAX_INTERVAL: u32 = 100;
 /// the PSNR is some decibels lower for a while, and would be shown until the next point.
 const SETTLING: u32 = 50;
 
-/// Parses a share of training's time.
 pub(super) fn share(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|&share| share == 0.0 || (0.001..=0.9).contains(&share));
     number.ok_or_else(|| "expected 0 or a number from 0.001 to 0.9".into())
@@ -71,7 +68,6 @@ impl Tracking {
         }
     }
 
-    /// Description of the views.
     pub(super) fn describe(&self, kind: &str) -> String {
         match (self.views.len(), self.of) {
             (measured, all) if measured < all => {
@@ -142,11 +138,6 @@ fn mean(values: &[f64]) -> Option<f64> {
 }
 
 impl Run {
-    /// Changes the share of training's time from [`SHARE`].
-    pub(super) fn track_within(&mut self, share: f64) {
-        self.tracking = Tracking::new(&self.views.test, &self.settings.train, share);
-    }
-
     /// The tracked PSNR, if it is measured after this iteration, dB. Training views are measured only for viewers. If a
     /// measurement fails, a warning is printed and training continues.
     pub(super) fn track(&mut self, report: &StepReport, watch: &mut Stopwatch) -> Option<f64> {

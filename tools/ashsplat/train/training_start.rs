@@ -21,24 +21,20 @@ use std::path::Path;
 #[derive(Default)]
 pub struct RunStart {
     start: Option<Box<ResumePoint>>,
-    /// Gaussians of the file `--init`.
     scene: Option<Scene>,
     /// The scene after an exchange of blocks, if the depths of the first scene are needed too.
     exchanged: Option<Scene>,
     /// The trained Gaussians and the block, after the scene was divided.
     divided: Option<(Gaussians, SceneBlock)>,
     /// True if the data set's points are needed, even for a checkpoint of a block among them.
-    needs_points: bool,
+    pub needs_points: bool,
 }
 
-/// The first Gaussians of a training.
 #[derive(Clone)]
 pub struct InitialGaussians {
     /// The trained Gaussians; `None` if they come from a checkpoint.
     pub trained: Option<Gaussians>,
-    /// The trained block, if any.
     pub block: Option<SceneBlock>,
-    /// The points from which they were made.
     pub points: Option<PointCloud>,
 }
 
@@ -59,7 +55,8 @@ impl RunStart {
         }
         if let Some(start) = &start {
             let (iteration, last) = (start.iteration(), settings.train.iterations);
-            if iteration == last && !start.is_automatic() {
+            // A scheduler may retry a training that is complete.
+            if iteration == last && start.from != StartFrom::Auto {
                 let problem = format!("is of iteration {iteration} already, the last one");
                 return Err(Error::argument("checkpoint", problem + "; raise --iterations to go on"));
             }
@@ -135,18 +132,12 @@ impl RunStart {
         Ok(())
     }
 
-    /// True if the points of the data set are used.
-    pub fn needs_points(&self) -> bool {
-        self.needs_points
-    }
-
-    /// The start from a checkpoint, if it is one.
     pub fn start(&self) -> Option<&ResumePoint> {
         self.start.as_deref()
     }
 
     pub fn checkpoint(&self) -> Option<&Checkpoint> {
-        self.start().map(ResumePoint::checkpoint)
+        self.start().map(|start| &start.checkpoint)
     }
 
     /// Number of trained Gaussians and of those around them, as far as it is known before photos are read. It counts
@@ -226,7 +217,6 @@ impl RunStart {
         Ok(InitialGaussians { trained, block, points })
     }
 
-    /// Makes the trainer for this start.
     pub fn trainer(
         &self,
         context: &Context,

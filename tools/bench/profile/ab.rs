@@ -1,7 +1,6 @@
 //! `--ab A B`: alternates two settings of specialization constants, on the same machine at the same time.
 
-use super::Arguments;
-use super::{largest_difference, open, silent_profile, spec};
+use super::{Arguments, largest_difference, open, silent_profile, spec};
 use crate::compare::{self, Row};
 use crate::frames::{Plan, PlannedWork};
 use crate::measure::Measured;

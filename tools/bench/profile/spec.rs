@@ -4,7 +4,6 @@ use crate::kernels;
 use ashsplat::vk::{ConstantInfo, ConstantKind, ContextOptions, SpecOverride, is_kernel_of, is_yardstick};
 use ashsplat::{Error, Result};
 
-/// The names of all kernels.
 pub fn kernel_names() -> Vec<&'static str> {
     kernels::all().iter().map(|kernel| kernel.name).collect()
 }
@@ -18,13 +17,8 @@ pub fn parse_list(text: &str) -> Result<Vec<SpecOverride>> {
     }
 }
 
-/// Parses the settings of --spec.
-pub fn parse_given(settings: &[String]) -> Result<Vec<SpecOverride>> {
-    parse_all("--spec", settings.iter().map(String::as_str))
-}
-
 /// Parses the settings of an option, in which each constant may appear once.
-fn parse_all<'a>(option: &str, settings: impl Iterator<Item = &'a str>) -> Result<Vec<SpecOverride>> {
+pub fn parse_all<'a>(option: &str, settings: impl Iterator<Item = &'a str>) -> Result<Vec<SpecOverride>> {
     let mut all: Vec<SpecOverride> = Vec::new();
     for setting in settings {
         let one = parse(option, setting.trim())?;
@@ -122,7 +116,6 @@ fn check_place(kernel: &str, name: &str) -> Result<(), String> {
     Err(format!("kernels share this size with the host; it can be set as {}", forms.join(", ")))
 }
 
-/// Adds settings to a device's options.
 pub fn apply(options: &mut ContextOptions, overrides: &[SpecOverride]) {
     for o in overrides {
         if o.constant == "SUBGROUP_SIZE" {

@@ -43,7 +43,6 @@ pub fn trace(device: &str, iterations: &[Iteration]) -> Value {
     })
 }
 
-/// Time in microseconds since the origin.
 fn at(origin: Instant, time: Instant) -> f64 {
     time.saturating_duration_since(origin).as_secs_f64() * 1e6
 }
@@ -53,7 +52,6 @@ fn span(name: &str, category: &str, process: u32, (ts, dur): (f64, f64)) -> Valu
     json!({ "name": name, "cat": category, "ph": "X", "ts": ts, "dur": dur, "pid": process, "tid": 1 })
 }
 
-/// A metadata event.
 fn named(what: &str, process: u32, thread: u32, name: &str) -> Value {
     json!({ "name": what, "ph": "M", "pid": process, "tid": thread, "args": { "name": name } })
 }
@@ -80,7 +78,7 @@ fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow:
     let arrow = |phase: &str, process: u32, ts: f64| json!({ "name": "submission", "cat": "flow", "ph": phase, "id": flow, "ts": ts, "pid": process, "tid": 1, "bp": "e" });
     events.push(arrow("s", HOST, at(origin, s.submitting)));
     events.push(arrow("f", DEVICE, begun));
-    for stage in stages(&s.commands) {
+    for stage in s.commands.chunk_by(|a, b| a.scope == b.scope) {
         let (Some((begin, _)), Some((last, duration))) = (times(&stage[0]), times(&stage[stage.len() - 1]))
         else {
             continue;
@@ -100,11 +98,6 @@ fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow:
             events.push(event);
         }
     }
-}
-
-/// Groups consecutive commands of one scope.
-fn stages(commands: &[CommandRecord]) -> impl Iterator<Item = &[CommandRecord]> {
-    commands.chunk_by(|a, b| a.scope == b.scope)
 }
 
 fn times(command: &CommandRecord) -> Option<(f64, f64)> {

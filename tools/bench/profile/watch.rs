@@ -45,16 +45,13 @@ mod reloading {
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::time::{Duration, Instant, SystemTime};
 
-    /// Interval between checks of the files.
     const INTERVAL: Duration = Duration::from_millis(100);
     /// Number of iterations of each measurement: few, so that the answer comes at once.
     const FRAMES: u32 = 7;
     const WARMUP: u32 = 1;
 
     /// Folder of the shaders that the program was built from.
-    fn own_glsl() -> PathBuf {
-        PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
-    }
+    const OWN_GLSL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl");
 
     /// Compiles the kernels of a folder and uses those that differ from the program's own.
     pub fn take_over(context: &Context, glsl: &Path) -> Result<()> {
@@ -101,7 +98,6 @@ mod reloading {
         }
     }
 
-    /// A measurement and its picture.
     struct State {
         kernels: Vec<KernelResult>,
         measured: Measured,
@@ -120,7 +116,7 @@ mod reloading {
 
     /// Runs until Ctrl-C.
     pub fn run(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<()> {
-        let glsl = arguments.glsl.clone().unwrap_or_else(own_glsl);
+        let glsl = arguments.glsl.clone().unwrap_or_else(|| OWN_GLSL.into());
         if !glsl.is_dir() {
             return Err(Error::input(&glsl, "is no folder of shaders", "give it with --glsl"));
         }

@@ -101,7 +101,6 @@ fn initialisers() -> String {
     text
 }
 
-/// A folder with a scene of 500 Gaussians.
 fn scene_file() -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = folder.path().join("scene.ply");
@@ -120,7 +119,6 @@ fn renderer_of(gaussians: &Gaussians) -> Renderer {
     renderer
 }
 
-/// The camera of the programs in C.
 fn camera(width: u32, height: u32) -> Camera {
     let intrinsics = Intrinsics::from_fov_x(0.7, width, height);
     Camera::look_at(Vec3::new(0.0, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)

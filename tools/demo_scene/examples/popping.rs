@@ -18,7 +18,6 @@ use std::path::Path;
 
 const SIZE: [u32; 2] = [256, 192];
 const SAMPLES: u32 = 120;
-/// Turn from sample to sample.
 const APART_DEGREES: f32 = 0.25;
 /// Turn from frame to frame: a tenth of a pixel, so that what moves hardly bends.
 const STEP_DEGREES: f32 = 0.02;

@@ -33,7 +33,6 @@ pub fn in_turn(
     Ok(all.map(|runs| medians(&runs)))
 }
 
-/// Measures one program alone.
 pub fn alone(runs: usize, mut work: impl FnMut() -> Result<Run>) -> Result<Run> {
     work()?;
     Ok(medians(&(0..runs).map(|_| work()).collect::<Result<Vec<_>>>()?))
@@ -62,7 +61,6 @@ fn cpu_ms() -> f64 {
     texts.filter_map(|text| text.split_whitespace().next()?.parse::<f64>().ok()).sum::<f64>() * 1e-6
 }
 
-/// A row of the table.
 pub fn print(what: &str, [ours, theirs]: [Run; 2], likeness: &str) {
     let (wall, cpu) = (theirs.wall / ours.wall, theirs.cpu / ours.cpu);
     println!("| {what} | {ours} | {theirs} | {wall:.2}, {cpu:.2} | {likeness} |");

@@ -1,12 +1,12 @@
 //! Training of one block: `ashsplat train --job blocks.json:3`.
 
 use super::{Block, BlocksFile};
+use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Gallery, file_hash};
 use std::path::Path;
 use toml::{Table, Value};
 
-/// A block to be trained.
 pub struct Job {
     pub file: BlocksFile,
     index: usize,
@@ -46,11 +46,8 @@ impl Job {
     /// Settings of the job, by their names in settings.toml.
     pub fn settings(&self) -> Result<Table> {
         let (division, block) = (&self.file.division, self.block());
-        let absolute = |path: &Path| {
-            let path = self.file.at(path);
-            std::path::absolute(&path).unwrap_or(path).to_string_lossy().into_owned()
-        };
-        let path = std::path::absolute(&self.file.path).unwrap_or_else(|_| self.file.path.clone());
+        let absolute = |path: &Path| output::absolute(&self.file.at(path)).to_string_lossy().into_owned();
+        let path = output::absolute(&self.file.path);
         let own: [(&str, Value); 10] = [
             ("job", format!("{}:{}@{}", path.display(), block.number, self.file.hash).into()),
             ("source_path", absolute(&division.dataset.path).into()),

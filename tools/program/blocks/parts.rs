@@ -23,7 +23,6 @@ pub struct Part {
 }
 
 impl Part {
-    /// True if the part is the whole photo.
     pub fn is_whole(&self) -> bool {
         self.columns == [0, self.of[0]] && self.rows == [0, self.of[1]]
     }
@@ -42,7 +41,6 @@ impl Part {
     }
 }
 
-/// Content of a small picture's pixels.
 pub struct BlockPixels {
     size: [usize; 2],
     /// True for pixels that show the block with its margin; `None` for transparent pixels.

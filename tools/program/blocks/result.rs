@@ -13,20 +13,17 @@ use std::path::{Path, PathBuf};
 /// Name of the note in the model folder.
 pub const RESULT_FILE: &str = "block.json";
 
-/// A trained block.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BlockNote {
     /// Hash of the division's file.
     blocks: String,
-    /// The block's number.
     block: u32,
     iteration: u32,
     /// Hash of that iteration's point cloud.
     hash: String,
 }
 
-/// Notes that a job's training is complete.
 pub fn note(job: &Job, folder: &Path, iteration: u32) -> Result<()> {
     let hash = file_hash(model::point_cloud_path(folder, iteration))?;
     let trained = BlockNote { blocks: job.file.hash.clone(), block: job.block().number, iteration, hash };

@@ -15,13 +15,11 @@ pub const MAX_ROUNDS: u32 = 100;
 /// Iterations; each round ends at a multiple of this. Other ends would change the bits of trainings in rounds.
 const STEP: u32 = 20;
 
-/// End of a block's round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoundNote {
     /// Hash of the division's file.
     pub blocks: String,
-    /// The block's number.
     pub block: u32,
     /// Number of the round, from 1.
     pub round: u32,
@@ -79,7 +77,6 @@ impl BlocksFile {
         self.path.with_extension("").join(format!("round_{round}.json"))
     }
 
-    /// Number of complete exchanges.
     pub fn exchanges(&self) -> u32 {
         (1..self.division.rounds).rev().find(|&round| self.is_exchanged(round)).unwrap_or(0)
     }
@@ -90,12 +87,10 @@ impl BlocksFile {
         note == Some(ExchangeNote { blocks: self.hash.clone(), round })
     }
 
-    /// Notes that an exchange is complete.
     pub fn note_exchange(&self, round: u32) -> Result<()> {
         output::write_json(&self.exchange_note(round), &ExchangeNote { blocks: self.hash.clone(), round })
     }
 
-    /// The last round that a block has ended in this division.
     pub fn ended_own(&self, block: &Block) -> Option<RoundNote> {
         self.ended(block).filter(|ended| ended.blocks == self.hash && ended.block == block.number)
     }
@@ -106,20 +101,15 @@ impl BlocksFile {
     }
 }
 
-/// Current round of a block's training.
 pub struct CurrentRound {
     /// Number of the round, from 1.
     pub round: u32,
     pub rounds: u32,
-    /// The division's file.
     file: PathBuf,
-    /// The iteration at which it ends.
     pub until: u32,
-    /// The iteration at which it begins.
     pub from: u32,
     /// The scene around the block, unless it is the coarse model.
-    surroundings: Option<PathBuf>,
-    /// True if the round has already ended.
+    pub surroundings: Option<PathBuf>,
     pub is_done: bool,
 }
 
@@ -143,11 +133,6 @@ impl CurrentRound {
         }
     }
 
-    /// The scene around the block, unless it is the coarse model.
-    pub fn surroundings(&self) -> Option<&Path> {
-        self.surroundings.as_deref()
-    }
-
     /// True if the block's training ends with this round.
     pub fn is_last(&self) -> bool {
         self.round == self.rounds
@@ -166,7 +151,6 @@ impl CurrentRound {
     }
 }
 
-/// Notes that a job's training has ended a round.
 pub fn note(job: &Job, folder: &Path, current: &CurrentRound) -> Result<()> {
     let (blocks, block) = (job.file.hash.clone(), job.block().number);
     let ended = RoundNote { blocks, block, round: current.round, iteration: current.until };

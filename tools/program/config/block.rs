@@ -80,7 +80,6 @@ impl DataSettings {
         Ok(self.masked_block(&frame)?.or(self.block_of_parts(&frame)?).is_some())
     }
 
-    /// Refuses an invalid block or extent.
     pub fn check_block(&self) -> Result<()> {
         if !(self.scene_extent.is_finite() && self.scene_extent >= 0.0) {
             let problem = format!("is {}, must be positive, or 0 for that of the cameras", self.scene_extent);

@@ -15,7 +15,6 @@ pub struct DefaultsInput<'a> {
     photos: Option<usize>,
     /// Settings of the checkpoint from which a training continues.
     continued: Option<&'a TrainSettings>,
-    /// SH degree of the start.
     pub(super) sh_degree: u32,
 }
 
@@ -58,7 +57,8 @@ impl SettingsSources {
             let remedy = "give a COLMAP model with its observations, or leave --depth-points out";
             return Err(Error::input(&usual.data.source_path, problem, remedy));
         }
-        if start.is_some() && !self.has("preset") && !self.has("strategy") {
+        let is_default = !self.has("preset") && !self.has("strategy");
+        if start.is_some() && is_default {
             return Ok((usual, None));
         }
         let photos = gallery.train_photos().len();
@@ -79,8 +79,12 @@ impl SettingsSources {
         }
         let is_given = |name: &str| self.has(name);
         let adapted = described(photos, is_given, (&usual.train, &settled.train));
-        let lines =
-            [self.line_on_defaults(), adapted, self.settle_exposure(&mut settled, gallery, continued)];
+        let presets = "settings: --preset default; the article's recipe: --preset reference";
+        let lines = [
+            is_default.then(|| presets.to_owned()),
+            adapted,
+            self.settle_exposure(&mut settled, gallery, continued),
+        ];
         Ok((settled, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))
     }
 
@@ -107,12 +111,6 @@ impl SettingsSources {
         Some(format!(
             "photos differ in exposure from their neighbours by {stops:.2} stops (RMS): --exposure (--exposure=false: as if they did not)"
         ))
-    }
-
-    /// Names the preset that applies because neither a preset nor a strategy is given.
-    fn line_on_defaults(&self) -> Option<String> {
-        let given = self.has("preset") || self.has("strategy");
-        (!given).then(|| "settings: --preset default; the article's recipe: --preset reference".to_owned())
     }
 }
 

@@ -9,7 +9,6 @@ use toml::Table;
 /// Largest settings file. A longer file is something else, and may exceed the memory.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Reads the text of a settings file.
 pub fn text(path: &Path) -> Result<String> {
     let refuse = |problem: String| {
         Error::input(path, problem, "give one that `ashsplat train` wrote, such as settings.toml")
@@ -19,7 +18,6 @@ pub fn text(path: &Path) -> Result<String> {
     ashsplat_files::text::from_bytes(path, bytes)
 }
 
-/// First line of a settings dump.
 pub fn dump_line() -> String {
     format!("# Read back by: ashsplat train --config {SETTINGS_FILE}\n")
 }

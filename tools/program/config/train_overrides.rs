@@ -54,7 +54,6 @@ fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser
     PossibleValuesParser::new(names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name))))
 }
 
-/// The options of all training settings.
 pub(super) fn arguments() -> impl Iterator<Item = Arg> {
     TrainSettings::OPTIONS.iter().map(argument)
 }

@@ -63,7 +63,6 @@ const USES: [Use; 14] = [
 /// A given setting that the training does not use and whose value differs from the default, with the name of its user.
 type Unused = (&'static str, &'static str);
 
-/// All unused settings.
 fn unused(given: &Table, training: &Settings) -> Vec<Unused> {
     let of = |of: &'static Use| of.names.iter().map(move |&name| (name, of));
     let all = USES.iter().flat_map(of).filter(|(name, of)| {

@@ -26,12 +26,10 @@ pub struct ReportSetup {
     page: PathBuf,
     gallery: Gallery,
     context: Context,
-    /// Settings of the blocks' training.
     settings: Settings,
     stop: Arc<AtomicBool>,
 }
 
-/// A scene that is drawn.
 struct MeasuredScene {
     renderer: Renderer,
     look: RenderSettings,
@@ -64,7 +62,6 @@ struct Results {
     views: usize,
     /// Largest distance from a seam that counts as along it, source units.
     band: f32,
-    /// Share of the pixels in the band.
     band_share: f64,
     merged: Quality,
     against: Option<Quality>,

@@ -28,10 +28,8 @@ impl Errors {
     }
 }
 
-/// Errors of a scene.
 #[derive(Default)]
 pub struct SceneErrors {
-    /// Errors of each view.
     pub views: Vec<Errors>,
     pub inside: Errors,
     pub band: Errors,
@@ -88,7 +86,6 @@ impl SceneErrors {
     }
 }
 
-/// The seams of all cells.
 pub struct Seams<'a> {
     cells: &'a Cells,
     pub all: Vec<Seam>,

@@ -60,7 +60,6 @@ impl Shares {
         self.parts.push(parts);
     }
 
-    /// True if a photo is used for a cell.
     pub fn is_of(&self, photo: usize, cell: usize) -> bool {
         let own = self.shares[photo][cell];
         own >= self.min_share || own > 0.0 && self.main_cell(photo) == Some(cell)
@@ -93,7 +92,6 @@ impl Shares {
         (0..photos).map(others).sum::<usize>() as f64 / pairs.max(1) as f64
     }
 
-    /// Uses whole photos from now on.
     pub fn use_whole(&mut self) {
         self.parts.iter_mut().for_each(BTreeMap::clear);
     }

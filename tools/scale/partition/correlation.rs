@@ -6,7 +6,6 @@ use ashsplat_files::{Gallery, PhotoFileFormat};
 use ashsplat_program::blocks::parts::small;
 use std::sync::Arc;
 
-/// Number of photographs that are compared.
 const VIEWS: usize = 5;
 
 /// Mean correlation of brightness between photographs and renders, both small, -1 to 1. `None` if the photographs are

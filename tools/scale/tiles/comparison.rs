@@ -17,7 +17,6 @@ const STRAYS: usize = 50;
 /// Largest radius of a ball: single precision ends soon after.
 const MAX_RADIUS: f32 = 1e37;
 
-/// Compares tiles.
 pub struct TileComparison {
     renderer: Renderer,
     settings: RenderSettings,

@@ -7,7 +7,6 @@ use crate::siege::{Result, Siege, ensure, text};
 use serde_json::{Value, json};
 use std::time::Duration;
 
-/// Longest time of a refusal.
 const LONGEST: Duration = Duration::from_secs(20);
 /// Most memory of a refusal, MiB.
 const MAX_MEMORY: u64 = 600;

@@ -6,14 +6,12 @@ use crate::program::Program;
 use crate::siege::{Result, Siege, ensure, text};
 use std::time::{Duration, Instant};
 
-/// Number of simultaneous requests.
 const REQUESTS: u32 = 40;
 /// Most additional memory of these requests, MiB.
 const MAX_MEMORY: u64 = 800;
 /// Most additional memory of refusals, MiB.
 const LITTLE_MEMORY: u64 = 100;
 
-/// A viewer of large photos.
 struct Gallery {
     program: Program,
     host: String,
@@ -21,7 +19,6 @@ struct Gallery {
     before: u64,
 }
 
-/// Size of a photo, pixels.
 fn size(siege: &Siege) -> u32 {
     siege.choose(2500, 5000)
 }

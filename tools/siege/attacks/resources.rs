@@ -55,7 +55,6 @@ fn train_on(page: &mut Page) -> Result<()> {
     page.until(|status| status["iteration"].as_u64() >= Some(start + ITERATIONS)).map(drop)
 }
 
-/// Fills the disk.
 fn fill(path: &Path) -> Result<()> {
     let mut file = File::create(path)?;
     for size in [64 << 10, 1 << 10, 1] {

@@ -11,7 +11,6 @@ const MAX_TEXTS: usize = 256;
 /// Most bytes of waiting texts, unless the first is longer: a greeting lists all cameras.
 const MAX_BYTES: usize = 8 << 20;
 
-/// See the module.
 #[derive(Default)]
 pub struct Outbox {
     waiting: Mutex<WaitingMessages>,
@@ -52,7 +51,6 @@ impl Outbox {
         self.changed.notify_one();
     }
 
-    /// Number of waiting texts.
     pub fn texts(&self) -> usize {
         self.lock().texts.len()
     }

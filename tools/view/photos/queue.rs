@@ -9,7 +9,6 @@ use tokio::sync::oneshot;
 
 /// Most waiting requests of one client; more are refused.
 const MAX_WAITING: usize = 24;
-/// Idle clients that are remembered.
 const MAX_REMEMBERED: usize = 64;
 /// Longest wait of a request.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -21,13 +20,11 @@ pub struct Client {
     pub page: Option<u64>,
 }
 
-/// A budget and its waiting clients.
 #[derive(Clone)]
 pub struct Queue(Arc<Mutex<State>>);
 
 struct State {
     free: u32,
-    /// Largest share of one client.
     max_share: u32,
     clients: BTreeMap<Client, Jobs>,
     turns: u64,
@@ -37,7 +34,6 @@ struct State {
 #[derive(Default)]
 struct Jobs {
     waiting: VecDeque<(u32, oneshot::Sender<Permit>)>,
-    /// Its current share of the budget.
     held: u32,
     /// Turn in which it was served last.
     served: u64,
@@ -78,7 +74,6 @@ impl Queue {
         tokio::time::timeout(PATIENCE, permit).await.ok()?.ok()
     }
 
-    /// Gives the free budget to waiting clients.
     fn serve(&self) {
         loop {
             let Some((grant, permit)) = self.next() else { return };
@@ -109,7 +104,6 @@ impl Queue {
 }
 
 impl State {
-    /// Removes requests whose connection is closed.
     fn remove_closed(&mut self) {
         for jobs in self.clients.values_mut() {
             jobs.waiting.retain(|(_, grant)| !grant.is_closed());

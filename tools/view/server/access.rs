@@ -113,7 +113,6 @@ fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
     all.split(';').find_map(find)
 }
 
-/// Returns a value of an address's query.
 pub fn query_value(uri: &Uri, name: &str) -> Option<String> {
     let find = |part: &str| Some(part.strip_prefix(name)?.strip_prefix('=')?.to_owned());
     uri.query()?.split('&').find_map(find)

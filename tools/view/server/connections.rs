@@ -17,10 +17,8 @@ use tokio::net::{TcpListener, TcpStream};
 
 /// Pause when no connection can be accepted, for example because there are no free descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Most bytes of a request's headers.
 const MAX_HEADERS: usize = 64 << 10;
 
-/// Accepts and serves connections for ever.
 pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
     let connections = Arc::new(OpenConnections::new(limits));
     loop {
@@ -39,7 +37,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
 }
 
 async fn serve_connection(stream: TrackedStream, router: Router) {
-    let (connection, limits) = (stream.connection.clone(), *stream.connections.limits());
+    let (connection, limits) = (stream.connection.clone(), stream.connections.limits);
     let answering = connection.clone();
     let router = TowerToHyperService::new(router);
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {

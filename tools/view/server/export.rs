@@ -25,7 +25,6 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
 /// Most exports that are written or sent at once: each takes the scene's memory, then its file's disk space.
 pub(super) const MAX_EXPORTS: usize = 2;
-/// Longest wait for the rendering thread.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Largest number in a place, because files hold no positions farther away.
 const FARTHEST: f64 = 1e18;
@@ -53,7 +52,7 @@ pub async fn export(
     let ((folder, path), permit) =
         made(&state, &connection, &uri, move |options, scene| options.write(scene, format)).await?;
     // Both last until the file is sent.
-    let body = files::body_of(&path, (folder, permit)).ok_or(StatusCode::NOT_FOUND)?;
+    let body = files::body(&path, (folder, permit)).ok_or(StatusCode::NOT_FOUND)?;
     let kind = [
         (header::CONTENT_TYPE, "application/octet-stream"),
         (header::CONTENT_DISPOSITION, "attachment"),

@@ -9,16 +9,10 @@ use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
-/// Largest piece, bytes.
 const PIECE: u64 = 256 << 10;
 
-/// The contents of a regular file; none if there is no such file.
-pub fn body(path: &Path) -> Option<Body> {
-    body_of(path, ())
-}
-
-/// Same as [`body`], but keeps a value until all is sent or the receiver has gone.
-pub fn body_of<T: Send + Unpin + 'static>(path: &Path, kept: T) -> Option<Body> {
+/// The contents of a regular file; none if there is no such file. Keeps a value until all is sent or the receiver has gone.
+pub fn body<T: Send + Unpin + 'static>(path: &Path, kept: T) -> Option<Body> {
     let (file, left) = regular_file::open(path).ok()?;
     Some(Body::new(Pieces { file, left, _kept: kept }))
 }

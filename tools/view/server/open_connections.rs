@@ -19,7 +19,6 @@ const MIN_CONNECTIONS: usize = 8;
 /// Interval at which a connection that waits for the program counts as active; much shorter than the stall limit.
 const NOTE: Duration = Duration::from_secs(10);
 
-/// Limits of number and time.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     pub total: usize,
@@ -53,23 +52,19 @@ fn free_descriptors() -> usize {
     usize::MAX
 }
 
-/// All open connections.
 pub struct OpenConnections {
-    limits: Limits,
+    pub limits: Limits,
     taken: Mutex<Vec<Arc<OpenConnection>>>,
 }
 
-/// One connection.
 pub struct OpenConnection {
-    peer: IpAddr,
+    pub peer: IpAddr,
     state: Mutex<State>,
     signal: Notify,
 }
 
 struct State {
-    /// Time of the last traffic.
     last_traffic: Instant,
-    /// Number of requests that are being answered.
     requests: usize,
     /// True for a page's WebSocket, which is watched elsewhere.
     page: bool,
@@ -80,10 +75,6 @@ struct State {
 impl OpenConnections {
     pub fn new(limits: Limits) -> OpenConnections {
         OpenConnections { limits, taken: Mutex::default() }
-    }
-
-    pub fn limits(&self) -> &Limits {
-        &self.limits
     }
 
     fn lock(&self) -> MutexGuard<'_, Vec<Arc<OpenConnection>>> {
@@ -110,22 +101,16 @@ impl OpenConnections {
         Some(connection)
     }
 
-    /// Removes a closed connection.
     pub fn remove(&self, connection: &Arc<OpenConnection>) {
         self.lock().retain(|taken| !Arc::ptr_eq(taken, connection));
     }
 }
 
 impl OpenConnection {
-    pub fn peer(&self) -> IpAddr {
-        self.peer
-    }
-
     fn lock(&self) -> MutexGuard<'_, State> {
         locked(&self.state)
     }
 
-    /// Records traffic.
     pub fn note_traffic(&self) {
         self.lock().last_traffic = Instant::now();
     }
@@ -147,7 +132,6 @@ impl OpenConnection {
         RequestGuard(self.clone())
     }
 
-    /// Marks the connection as a page's WebSocket.
     pub fn becomes_page(&self) {
         self.lock().page = true;
     }

@@ -17,18 +17,15 @@ use std::time::{Duration, Instant};
 
 /// A page that does not take a message within this time is given up.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Interval of the pings to a page.
 const PING: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(15) };
 /// Silence after which a page is given up: a laptop that falls asleep never says that it leaves.
 pub(super) const SILENCE: Duration = PING.saturating_mul(3);
-/// Longest message of a page.
 const LONGEST_MESSAGE: usize = 256 * 1024;
 /// Nothing more is read while this many replies wait.
 const MAX_REPLIES: usize = 16;
 
 const TOO_MANY: &str = "too many pages look on already";
 
-/// Opens a page's WebSocket.
 pub async fn socket(
     State(state): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
@@ -65,7 +62,6 @@ impl Drop for PageGuard {
     }
 }
 
-/// Serves one page until it leaves.
 async fn serve_page(mut socket: WebSocket, hub: Arc<Hub>) {
     let Some((client, outbox)) = hub.join() else { return };
     let _guard = PageGuard { hub: hub.clone(), client };

@@ -11,7 +11,6 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 /// A tile and its Gaussians on the device, or the error.
 pub type LoadedTile = (usize, Result<DeviceScene>);
 
-/// See the module.
 pub struct Loader {
     shared: Arc<Shared>,
 }
@@ -24,7 +23,6 @@ struct Shared {
 #[derive(Default)]
 struct State {
     requested: VecDeque<usize>,
-    /// The tile being read.
     current: Option<usize>,
     arrivals: Vec<LoadedTile>,
     /// Context for uploads; none once the loader ends.
@@ -129,7 +127,6 @@ impl Drop for Loader {
 }
 
 impl Streamed {
-    /// Reads a tile, which must have this SH degree.
     fn read(&self, tile: usize, sh_degree: u32) -> Result<Gaussians> {
         if let (Some(folder), Some(path)) = (&self.within, self.tree.path(tile)) {
             let real = dunce::canonicalize(&path).map_err(|e| Error::io(&path, "read", e))?;

@@ -26,13 +26,11 @@ struct ResidentTile<T> {
     frame: u64,
 }
 
-/// The tiles of one picture.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Cut {
     pub drawn: Vec<usize>,
     /// Tiles that must be read for it, most urgent first.
     pub missing: Vec<usize>,
-    /// Number of all wanted tiles.
     pub wanted: usize,
 }
 
@@ -67,7 +65,6 @@ impl<T> Residency<T> {
         Cut { drawn, missing, wanted: count }
     }
 
-    /// Drops viewers that have left.
     pub fn keep_viewers(&mut self, is_connected: impl Fn(&Viewer) -> bool) {
         self.wanted.retain(|viewer, _| is_connected(viewer));
     }
@@ -80,7 +77,6 @@ impl<T> Residency<T> {
         self.loaded.get(&tile).map(|resident| &resident.scene)
     }
 
-    /// Adds a loaded tile.
     pub fn add(&mut self, tile: usize, scene: T) {
         self.loaded.insert(tile, ResidentTile { scene, frame: self.frames });
     }

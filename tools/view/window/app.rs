@@ -193,7 +193,7 @@ impl App {
         };
         let factor = viewer.scale_factor;
         if state == ElementState::Pressed {
-            let at = self.controls.pointer()[0] * factor;
+            let at = self.controls.at[0] * factor;
             let near = viewer.wipe().is_some_and(|wipe| (wipe - at).abs() < GRASP * factor);
             self.wiping = near && button == Button::Left;
             if !self.wiping {

@@ -5,7 +5,6 @@ use super::text::{Overlay, Text};
 use ashsplat::scene::Camera;
 use ashsplat_files::{Photo, PhotoFileFormat};
 
-/// A photo and its visible part.
 pub struct Comparison {
     photo: Photo,
     /// The visible part, scaled to the window.

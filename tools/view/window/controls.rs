@@ -39,7 +39,6 @@ pub enum Click {
     Double([f64; 2]),
 }
 
-/// Pressed buttons and keys.
 #[derive(Default)]
 pub struct Controls {
     pub flying: bool,
@@ -49,17 +48,13 @@ pub struct Controls {
     /// Time when they last steered.
     steered: Option<Instant>,
     pressed: Vec<Button>,
-    at: [f64; 2],
+    /// Position of the pointer.
+    pub at: [f64; 2],
     moved: f64,
     clicked: Option<(Instant, [f64; 2])>,
 }
 
 impl Controls {
-    /// Position of the pointer.
-    pub fn pointer(&self) -> [f64; 2] {
-        self.at
-    }
-
     /// Moves the pointer without any effect.
     pub fn place(&mut self, at: [f64; 2]) {
         self.at = at;

@@ -2,7 +2,6 @@
 
 use super::super::protocol::Mode;
 
-/// Action of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
     /// While it is held, moves along the camera's axes: right, down, forward.
@@ -21,7 +20,6 @@ pub enum Action {
     Screenshot,
     /// Turns to the scene's pivot.
     Face,
-    /// Returns to the first view.
     Home,
     /// Previous (-1) or next (1) photo.
     Photo(isize),
@@ -95,7 +93,6 @@ pub const HELP: [(&str, &str); 20] = [
     ("on the page only", "cameras, films, cuts, edits, the tape, opening files"),
 ];
 
-/// Returns the action of a key's name.
 pub fn action(code: &str) -> Option<Action> {
     KEYS.iter().find(|(name, _)| *name == code).map(|(_, action)| *action)
 }

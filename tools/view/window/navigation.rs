@@ -24,7 +24,7 @@ pub struct Navigation {
     /// Length of a stride, world units.
     pub radius: f64,
     /// A photo's camera, while the view is exactly the photo's.
-    lens: Option<Camera>,
+    pub lens: Option<Camera>,
 }
 
 impl Navigation {
@@ -43,12 +43,6 @@ impl Navigation {
         (self.pivot - self.position).length().max(NEAREST)
     }
 
-    /// Camera of a photo, while the view is exactly the photo's.
-    pub fn lens(&self) -> Option<&Camera> {
-        self.lens.as_ref()
-    }
-
-    /// True if the view is exactly a photo's.
     pub fn is_photo(&self) -> bool {
         self.lens.is_some()
     }
@@ -118,7 +112,6 @@ impl Navigation {
         self.touch();
     }
 
-    /// Scales the distance to the pivot by a factor.
     pub fn dolly(&mut self, factor: f64) {
         let arm = (self.position - self.pivot) * factor.clamp(0.2, 5.0);
         let nearest = NEAREST_SHARE * self.radius;
@@ -148,7 +141,6 @@ impl Navigation {
         (scale, [0.5 * (width - w * scale), 0.5 * (height - h * scale)])
     }
 
-    /// The engine's camera for a picture of this size.
     pub fn camera(&self, size: [u32; 2]) -> Camera {
         let [width, height] = size;
         let rows = self.rotation.map(|row| row.as_vec3().to_array());

@@ -15,7 +15,6 @@ const REST: Duration = Duration::from_millis(140);
 const RATE_TIME: Duration = Duration::from_secs(2);
 const RATE_FRAMES: usize = 40;
 
-/// Next frame to draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NextFrame {
     Nothing,
@@ -46,7 +45,6 @@ impl Pace {
         Pace { level: 0, changed: None, dirty: false, sharp: false, shown: VecDeque::new() }
     }
 
-    /// Records that the view has changed.
     pub fn touch(&mut self, now: Instant) {
         (self.dirty, self.sharp, self.changed) = (true, false, Some(now));
     }
@@ -79,7 +77,6 @@ impl Pace {
         self.changed.filter(|_| !self.sharp).map(|changed| changed + REST + Duration::from_millis(1))
     }
 
-    /// Records that a frame was shown.
     pub fn drawn(&mut self, frame: NextFrame, now: Instant) {
         match frame {
             // A full-size frame is as sharp as one at rest.

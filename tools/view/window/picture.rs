@@ -13,7 +13,6 @@ use ashsplat::{
     Reservation, Result, ShStorage, SlotReport, Target,
 };
 use ashsplat_files::Photo;
-use serde_json::Value;
 use std::time::Instant;
 
 /// Most dispatches of a recording by the window.
@@ -35,17 +34,14 @@ const READY: ImageState = ImageState {
     ),
 };
 
-/// Contents of a frame.
 pub enum Content<'a> {
     /// One colour.
     Nothing([f32; 3]),
     /// The scene, drawn on the device.
     Splats(&'a RenderSettings),
-    /// A finished picture.
     Photo(&'a Photo),
 }
 
-/// Objects of one frame in flight.
 struct SlotObjects {
     /// Recordings of a finished picture, and of the overlays.
     records: [RecordSlot; 2],
@@ -53,9 +49,8 @@ struct SlotObjects {
     overlays: Vec<Option<Buffer>>,
 }
 
-/// Draws frames.
 pub struct Picture {
-    scene: SceneRenderer,
+    pub scene: SceneRenderer,
     context: Context,
     /// Scenes that the next frame draws.
     scenes: Vec<DeviceScene>,
@@ -64,7 +59,6 @@ pub struct Picture {
     compose: Compose,
     /// Image of the window's size.
     canvas: Option<Image>,
-    /// Image of a coarser frame.
     coarse: Option<Image>,
     slot_objects: Vec<SlotObjects>,
 }
@@ -91,19 +85,9 @@ impl Picture {
         })
     }
 
-    /// The scene, for pictures that are read back.
-    pub fn scene(&mut self) -> &mut dyn ViewedScene {
-        &mut self.scene
-    }
-
-    /// How complete the last picture of a tree of tiles is.
-    pub fn tree(&self) -> Option<&Value> {
-        self.scene.tree()
-    }
-
     /// True if there is a scene or a tree of tiles, in view or not.
     pub fn has_scene(&self) -> bool {
-        self.tree().is_some() || !self.scenes.is_empty()
+        self.scene.tree().is_some() || !self.scenes.is_empty()
     }
 
     /// True if splats may be in view. False if no tile of a tree is.
@@ -115,7 +99,7 @@ impl Picture {
     /// window's.
     pub fn prepare(&mut self, present: &Present, camera: &Camera, settings: &RenderSettings) -> Result<()> {
         loop {
-            if self.tree().is_some() {
+            if self.scene.tree().is_some() {
                 self.scenes = self.scene.scenes(camera)?;
             }
             match self.reserve(present, camera, settings) {
@@ -200,11 +184,11 @@ impl Picture {
         let target = coarse.as_ref().unwrap_or(&canvas);
         let drawn = self.record(present, &begun, target, camera, content)?;
         let drawn = match &coarse {
-            Some(coarse) => present.enlarge(&begun, [coarse, &canvas], [drawn, USED]),
+            Some(coarse) => present.images(&begun).scale([coarse, &canvas], [drawn, USED]),
             None => drawn,
         };
         let drawn = self.record_overlays(present, &begun, &canvas, drawn, overlays)?;
-        let slot = begun.slot();
+        let slot = begun.slot;
         present.finish(begun, &canvas, drawn)?;
         Ok(Some((slot, start)))
     }
@@ -230,11 +214,11 @@ impl Picture {
                     },
                     ..RecordedFrame::new(&scenes, camera, settings)
                 };
-                let release = self.scene.renderer.record(present.commands(begun)?, begun.slot(), &frame)?;
+                let release = self.scene.renderer.record(present.commands(begun)?, begun.slot, &frame)?;
                 Ok(release.color.unwrap_or(USED))
             }
             Content::Splats(RenderSettings { background, .. }) | Content::Nothing(background) => {
-                Ok(present.clear(begun, target, USED, *background))
+                Ok(present.images(begun).clear(target, USED, *background))
             }
         }
     }
@@ -246,7 +230,7 @@ impl Picture {
         target: &Image,
         photo: &Photo,
     ) -> Result<ImageState> {
-        let objects = &mut self.slot_objects[begun.slot() as usize];
+        let objects = &mut self.slot_objects[begun.slot as usize];
         let texels: Vec<[u8; 4]> =
             photo.rgb.chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2], u8::MAX]).collect();
         let buffer = filled(&self.context, &mut objects.photo, bytemuck::cast_slice(&texels))?;
@@ -265,7 +249,7 @@ impl Picture {
         from: ImageState,
         overlays: &[Overlay<'_>],
     ) -> Result<ImageState> {
-        let SlotObjects { records, overlays: buffers, .. } = &mut self.slot_objects[begun.slot() as usize];
+        let SlotObjects { records, overlays: buffers, .. } = &mut self.slot_objects[begun.slot as usize];
         let fits = |overlay: &&Overlay<'_>| {
             let Text { width, height, .. } = *overlay.picture;
             let ends = [overlay.corner[0] + width, overlay.corner[1] + height];

@@ -1,6 +1,6 @@
 //! State of the window: view, mode, photo, text.
 
-use super::super::draw;
+use super::super::draw::{self, ViewedScene};
 use super::super::loaded_scene::LoadedScene;
 use super::super::protocol::{self, Mode, ViewSettings};
 use super::super::render_thread::fatal;
@@ -22,7 +22,6 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
-/// Display time of a message.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 /// Window rows per unit of text scale.
 const ROWS_PER_DOT: u32 = 540;
@@ -128,7 +127,6 @@ impl WindowViewer {
         ViewSettings { mode: self.mode, quality: 0, ..ViewSettings::default() }
     }
 
-    /// Shows a message for a while.
     pub fn say(&mut self, text: String) {
         self.message = Some((text, Instant::now()));
         self.pace.leap();
@@ -204,14 +202,14 @@ impl WindowViewer {
 
     /// Border between photo and render, pixels from the left; none if no photo is shown.
     pub fn wipe(&self) -> Option<f64> {
-        let lens = self.view.lens().filter(|_| self.comparison.is_some())?;
+        let lens = self.view.lens.as_ref().filter(|_| self.comparison.is_some())?;
         let (scale, [x, _]) = Navigation::frame(lens, self.size);
         Some(x + self.share * f64::from(lens.width) * scale)
     }
 
     /// Moves the border between photo and render.
     pub fn move_wipe(&mut self, x: f64) {
-        let Some(lens) = self.view.lens() else { return };
+        let Some(lens) = self.view.lens.as_ref() else { return };
         let (scale, [left, _]) = Navigation::frame(lens, self.size);
         self.share = ((x - left) / (f64::from(lens.width) * scale)).clamp(0.0, 1.0);
         self.pace.leap();
@@ -224,7 +222,7 @@ impl WindowViewer {
         if !self.picture.has_scene() {
             return Ok(None);
         }
-        match self.picture.scene().inspect(&camera, &settings, pixel) {
+        match self.picture.scene.inspect(&camera, &settings, pixel) {
             Ok(report) => Ok(Some((pixel, report))),
             Err(error) => self.show_error(error).map(|()| None),
         }
@@ -240,7 +238,6 @@ impl WindowViewer {
         Ok(())
     }
 
-    /// Moves the pivot to the point at a pixel.
     pub fn set_pivot(&mut self, at: [f64; 2]) -> Result<()> {
         let found = self.report(at)?;
         let found = found.and_then(|(pixel, report)| Some((pixel, protocol::pivot_depth(&report)?)));
@@ -259,7 +256,7 @@ impl WindowViewer {
             return Ok(());
         }
         let drawn = (self.photo_appearance()).and_then(|appearance| {
-            draw::draw(self.picture.scene(), &camera, &self.scene.base, &look, appearance)
+            draw::draw(&mut self.picture.scene, &camera, &self.scene.base, &look, appearance)
         });
         match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
             Ok(()) => self.say(format!("saved {}", path.display())),
@@ -268,7 +265,6 @@ impl WindowViewer {
         Ok(())
     }
 
-    /// Returns the next frame to draw.
     pub fn next_frame(&mut self, now: Instant, busy: bool) -> NextFrame {
         if self.message.as_ref().is_some_and(|(_, since)| now.duration_since(*since) > MESSAGE_TIME) {
             self.message = None;
@@ -285,7 +281,6 @@ impl WindowViewer {
         !self.pending.is_empty()
     }
 
-    /// Records finished frames.
     pub fn poll(&mut self, present: &Present) -> Result<()> {
         while let Some(first) = self.pending.front() {
             if !present.is_done(first.slot)? {
@@ -348,7 +343,7 @@ impl WindowViewer {
         };
         self.measured.size = small;
         let text = self.text();
-        if let (Some(lens), Some(comparison)) = (self.view.lens(), &mut self.comparison) {
+        if let (Some(lens), Some(comparison)) = (self.view.lens.as_ref(), &mut self.comparison) {
             comparison.fit(lens, size, self.share);
         }
         let mut overlays = Vec::new();
@@ -386,7 +381,7 @@ impl WindowViewer {
             return Ok(None);
         }
         let look = self.look();
-        let drawn = draw::draw(self.picture.scene(), camera, &self.scene.base, &look, appearance)?;
+        let drawn = draw::draw(&mut self.picture.scene, camera, &self.scene.base, &look, appearance)?;
         let unit = if self.mode == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;
@@ -400,7 +395,7 @@ impl WindowViewer {
         if self.panel {
             let rate = self.pace.frames_per_second();
             lines = words::status(&self.scene.name, &self.device, self.mode, rate, &self.measured);
-            lines.extend(self.picture.tree().and_then(words::tree));
+            lines.extend(self.picture.scene.tree().and_then(words::tree));
             lines.extend(self.scene.note.iter().flat_map(|note| words::wrapped(note)));
         }
         lines.extend(self.message.iter().flat_map(|(message, _)| words::wrapped(message)));

@@ -11,7 +11,6 @@ const LISTED: usize = 16;
 /// Most letters of a line of running text.
 const WIDEST: usize = 64;
 
-/// Figures of a frame.
 #[derive(Clone, Debug, Default)]
 pub struct Measurements {
     /// Size of the picture, pixels.
@@ -35,9 +34,9 @@ pub fn status(scene: &str, device: &str, mode: Mode, rate: f64, frame: &Measurem
             [visible, gaussians, instances].map(|count| thousands(u64::from(*count)));
         lines.push(format!("{visible} of {all} Gaussians visible, {instances} instances"));
     }
-    let stages: Vec<_> = scopes.iter().filter(|viewer| viewer.depth == 0).collect();
+    let stages: Vec<_> = scopes.iter().filter(|stage| stage.depth == 0).collect();
     if !stages.is_empty() {
-        let sum: f64 = stages.iter().map(|viewer| viewer.nanoseconds).sum();
+        let sum: f64 = stages.iter().map(|stage| stage.nanoseconds).sum();
         lines.push(format!("{:16}{:8.2} ms", "device", sum * 1e-6));
         lines.extend(stages.iter().map(|s| format!("  {:14}{:8.2} ms", s.name, s.nanoseconds * 1e-6)));
     }
@@ -92,7 +91,6 @@ pub fn wrapped(text: &str) -> Vec<String> {
     lines
 }
 
-/// Lines of help.
 pub fn help() -> Vec<String> {
     let widest = HELP.iter().map(|(key, _)| key.chars().count()).max().unwrap_or(0);
     HELP.iter().map(|(key, meaning)| format!("{key:widest$}  {meaning}")).collect()

@@ -15,7 +15,6 @@ const RATE_WINDOW: f64 = 0.5;
 /// One curve: (iteration, value).
 type Curve = Vec<(u32, f64)>;
 
-/// Curves of loss, PSNR, Gaussians and speed.
 pub struct Curves {
     iterations: u32,
     iteration: u32,

@@ -59,7 +59,6 @@ fn lenses(out: &mut String, appearances: &Appearances) {
     out.push_str(&html::table(&heads, &rows, None));
 }
 
-/// Vignetting of the channels in the corners.
 fn corner(effects: &LensEffects) -> [f32; 3] {
     [0, 1, 2].map(|channel| effects.vignetting(channel, CORNER))
 }

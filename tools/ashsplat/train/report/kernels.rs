@@ -11,7 +11,6 @@ const OFFSET: u32 = 7;
 /// Least free memory for timing, which must not make a run fail.
 const SPARE_BYTES: u64 = 16 << 20;
 
-/// Measured times.
 pub struct KernelTimes {
     context: Context,
     profile: Option<Profile>,
@@ -44,7 +43,6 @@ impl KernelTimes {
         }
     }
 
-    /// Reads the times after an iteration.
     pub fn after(&mut self, iteration: u32) {
         let Some(profile) = self.profile.as_ref().filter(|_| iteration % INTERVAL == OFFSET) else { return };
         self.context.set_profile(None);
@@ -67,13 +65,11 @@ impl KernelTimes {
         }
     }
 
-    /// Description of the device.
     pub fn device(&self) -> String {
         let device = self.context.description();
         format!("{} ({}), {}, Vulkan {}", device.name, device.kind, device.driver, device.api_version)
     }
 
-    /// Description of the measurement.
     pub fn note(&self) -> String {
         match (self.timed, self.context.has_timestamps()) {
             (_, false) => "this device has no timestamps: kernels cannot be timed".into(),

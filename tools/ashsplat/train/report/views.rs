@@ -1,7 +1,7 @@
 //! Views beside their photos, with their quality.
 
 use ashsplat::{Frame, Result};
-use ashsplat_files::{Photo, PhotoFileFormat, View};
+use ashsplat_files::{Photo, View};
 use ashsplat_program::eval::{Evaluation, ViewResult};
 use ashsplat_program::html::{self, Cell, escape, heat};
 use ashsplat_program::output;
@@ -14,14 +14,12 @@ const WIDTH: u32 = 480;
 /// Absolute difference, mean over the channels, with the brightest colour.
 const BRIGHTEST: f64 = 0.25;
 
-/// Indices of the results from the worst to the best.
 pub fn worst_first(views: &[ViewResult]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..views.len()).collect();
     order.sort_by(|&a, &b| views[a].psnr.total_cmp(&views[b].psnr));
     order
 }
 
-/// Writes a row of the contact sheet.
 pub fn row(out: &mut String, view: &View, frame: &Frame, result: &ViewResult) -> Result<()> {
     let (photo, mask) = (view.photo.photo()?, view.photo.mask()?);
     let counts = |i: usize| mask.as_ref().is_none_or(|mask| mask[i] != 0);
@@ -41,7 +39,7 @@ pub fn row(out: &mut String, view: &View, frame: &Frame, result: &ViewResult) ->
         result.ssim
     );
     for (picture, name) in pictures.into_iter().zip(["photo", "render", "error"]) {
-        let address = html::jpeg(&small(picture)?)?;
+        let address = html::jpeg(&output::narrowed(picture, WIDTH)?)?;
         let _ = write!(
             out,
             "<img alt=\"{name} of {}\" title=\"{name}\" src=\"{address}\">",
@@ -50,14 +48,6 @@ pub fn row(out: &mut String, view: &View, frame: &Frame, result: &ViewResult) ->
     }
     out.push_str("</div>\n");
     Ok(())
-}
-
-fn small(picture: Photo) -> Result<Photo> {
-    let (width, height) = (picture.width, picture.height);
-    if width <= WIDTH {
-        return Ok(picture);
-    }
-    picture.scaled_to(WIDTH, (u64::from(height) * u64::from(WIDTH) / u64::from(width)).max(1) as u32)
 }
 
 fn error(frame: &Frame, photo: &[[f32; 3]], counts: impl Fn(usize) -> bool) -> Photo {
@@ -69,7 +59,6 @@ fn error(frame: &Frame, photo: &[[f32; 3]], counts: impl Fn(usize) -> bool) -> P
     Photo { width: frame.width, height: frame.height, rgb }
 }
 
-/// Legend of the error's colours.
 pub fn key() -> String {
     let colors: Vec<String> = (0..=4)
         .map(|i| {
@@ -83,7 +72,6 @@ pub fn key() -> String {
     )
 }
 
-/// The table of views, the worst first.
 pub fn table(evaluation: &Evaluation) -> String {
     let best = evaluation.views.iter().map(|v| v.psnr).filter(|p| p.is_finite()).fold(1.0, f64::max);
     let row = |(rank, place): (usize, usize)| {

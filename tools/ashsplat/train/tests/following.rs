@@ -1,7 +1,7 @@
 //! The views whose PSNR is tracked.
 
 use super::*;
-use ashsplat::TrainSettings;
+use ashsplat::{StepReport, TrainSettings};
 
 fn views(count: u32) -> Vec<View> {
     let view = dataset(1.0).train.remove(0);

@@ -84,7 +84,7 @@ impl Images<'_> {
         unsafe { self.device.cmd_blit_image2(self.commands, &info) }
     }
 
-    /// Fills an image with a colour.
+    /// Fills an image with one colour. Returns its new state.
     pub fn clear(&self, image: &Image, from: ImageState, [r, g, b]: [f32; 3]) -> ImageState {
         self.barrier(image.handle(), from, WRITTEN);
         let color = vk::ClearColorValue { float32: [r, g, b, 1.0] };
@@ -96,7 +96,7 @@ impl Images<'_> {
         WRITTEN
     }
 
-    /// Copies an image into one of another size.
+    /// Copies an image into one of another size. Returns the second one's new state.
     pub fn scale(&self, [from, to]: [&Image; 2], uses: [ImageState; 2]) -> ImageState {
         self.barrier(from.handle(), uses[0], READ);
         self.barrier(to.handle(), uses[1], WRITTEN);

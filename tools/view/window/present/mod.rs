@@ -23,7 +23,6 @@ pub const FRAMES_IN_FLIGHT: u32 = 2;
 /// Longest wait for an image of the swapchain, ns: an invisible window may get none.
 const LONGEST_WAIT: u64 = 250_000_000;
 
-/// Converts the result of a failed call.
 fn failed(call: &'static str) -> impl Fn(vk::Result) -> Error {
     move |result| match result {
         vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost { call },
@@ -45,7 +44,6 @@ pub fn instance_extensions(display: &impl HasDisplayHandle) -> Result<Vec<&'stat
     Ok(names.iter().map(|&name| unsafe { CStr::from_ptr(name) }).collect())
 }
 
-/// Device extensions that a window needs.
 pub const DEVICE_EXTENSIONS: [&CStr; 1] = [khr::swapchain::NAME];
 
 /// A command buffer with its synchronization.
@@ -58,18 +56,11 @@ struct InFlight {
     done: vk::Fence,
 }
 
-/// A frame being recorded.
 pub struct BegunFrame {
     /// Index among the frames in flight.
-    slot: u32,
+    pub slot: u32,
     /// Index among the swapchain's images.
     image: u32,
-}
-
-impl BegunFrame {
-    pub fn slot(&self) -> u32 {
-        self.slot
-    }
 }
 
 pub struct Present {
@@ -224,7 +215,6 @@ impl Present {
         done.map_err(failed("vkGetFenceStatus"))
     }
 
-    /// Waits until the device is idle.
     pub fn idle(&self) -> Result<()> {
         let _held = self.context.hold_queues()?;
         // SAFETY: the queues are held: no other thread uses them.
@@ -276,24 +266,15 @@ impl Present {
         unsafe { self.context.adopt_commands(commands) }
     }
 
-    fn images<'a>(&'a self, begun: &BegunFrame) -> Images<'a> {
+    /// Copies between images in a frame's command buffer.
+    pub fn images<'a>(&'a self, begun: &BegunFrame) -> Images<'a> {
         Images { device: &self.device, commands: self.frames[begun.slot as usize].commands }
-    }
-
-    /// Records a fill with one colour. Returns the image's new state.
-    pub fn clear(&self, begun: &BegunFrame, image: &Image, from: ImageState, color: [f32; 3]) -> ImageState {
-        self.images(begun).clear(image, from, color)
-    }
-
-    /// Records a copy of an image to one of another size. Returns the second image's new state.
-    pub fn enlarge(&self, begun: &BegunFrame, [from, to]: [&Image; 2], uses: [ImageState; 2]) -> ImageState {
-        self.images(begun).scale([from, to], uses)
     }
 
     /// Copies the picture to the window's image, submits the frame and presents it. The picture has the surface's size.
     pub fn finish(&mut self, begun: BegunFrame, picture: &Image, used: ImageState) -> Result<()> {
         let Some(swapchain) = &self.swapchain else { return Ok(()) };
-        let (image, presented) = swapchain.image(begun.image);
+        let (image, presented) = swapchain.images[begun.image as usize];
         let images = self.images(&begun);
         let frame = &self.frames[begun.slot as usize];
         let extent = [swapchain.extent.width, swapchain.extent.height];

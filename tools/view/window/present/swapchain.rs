@@ -8,7 +8,6 @@ use ashsplat::ash::{self, khr, vk};
 /// Format of the displayed pictures, one that the engine writes.
 pub const CANVAS: vk::Format = vk::Format::R8G8B8A8_UNORM;
 
-/// Parameters of a swapchain.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
     pub format: vk::Format,
@@ -68,7 +67,7 @@ pub struct Swapchain {
     pub raw: vk::SwapchainKHR,
     pub extent: vk::Extent2D,
     /// Images with the semaphore that each presentation waits for: it is free again when its image is.
-    images: Vec<(vk::Image, vk::Semaphore)>,
+    pub images: Vec<(vk::Image, vk::Semaphore)>,
 }
 
 impl Swapchain {
@@ -116,11 +115,6 @@ impl Swapchain {
                 }
             }
         }
-    }
-
-    /// Returns an image and the semaphore that its presentation waits for.
-    pub fn image(&self, index: u32) -> (vk::Image, vk::Semaphore) {
-        self.images[index as usize]
     }
 
     /// # Safety

@@ -30,14 +30,12 @@ fn looked_at(context: &Context, model: &Path) -> Run {
     run
 }
 
-/// A page's request.
 fn view() -> ViewRequest {
     let lens = Intrinsics::from_fov_x(0.8, 16, 16);
     let camera = CameraMessage::of(&Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, lens));
     ViewRequest { seq: 1, camera, look: ViewSettings::default(), follow: false, as_photo: None }
 }
 
-/// A connected page.
 fn page(run: &Run) -> WebSocket<TcpStream> {
     let live = run.live.as_ref().expect("a viewer");
     let address = live._server.address;
