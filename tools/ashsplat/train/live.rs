@@ -6,7 +6,6 @@ mod tests;
 
 use super::Run;
 use super::allowance::Allowance;
-use super::saving::AGAIN;
 use ashsplat::train::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -275,7 +274,7 @@ impl Run {
                     }
                     Err(error) => {
                         self.progress.warn(&format!("warning: not saved: {error}"));
-                        self.retries.scene = Some(Instant::now() + AGAIN);
+                        self.retries.retry_scene();
                         live.hub.broadcast(&ToPage::problem(&error.to_string()));
                         render_thread::fatal(error)?;
                     }

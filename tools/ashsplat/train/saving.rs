@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 /// Time until a failed save is tried again, during training.
-pub(super) const AGAIN: Duration = Duration::from_secs(5);
+const AGAIN: Duration = Duration::from_secs(5);
 /// Number of attempts when training ends, and the pause between them.
 const ATTEMPTS: u32 = 3;
 const PAUSE: Duration = Duration::from_millis(300);
@@ -41,7 +41,7 @@ enum Kind {
 /// Times at which failed saves are tried again.
 #[derive(Default)]
 pub struct SaveRetries {
-    pub(super) scene: Option<Instant>,
+    scene: Option<Instant>,
     checkpoint: Option<Instant>,
 }
 
@@ -51,6 +51,12 @@ impl SaveRetries {
             Kind::Scene => &mut self.scene,
             Kind::Checkpoint => &mut self.checkpoint,
         }
+    }
+
+    #[cfg(feature = "view")]
+    /// Notes that the scene a page requested could not be saved.
+    pub fn retry_scene(&mut self) {
+        self.scene = Some(Instant::now() + AGAIN);
     }
 
     fn is_due(&mut self, kind: Kind) -> bool {
