@@ -184,7 +184,7 @@ fn rows_of_a_rolling_shutter_have_poses_of_their_own() {
     place.run(format!("info {}", folder.display())).ok().says(&["rolling shutter"]);
 
     let dataset = load(&folder);
-    assert_eq!((dataset.train.len(), dataset.test.len()), (44, 6));
+    assert_eq!((dataset.train.len(), dataset.test.len()), (43, 7));
     let camera = dataset.train[0].camera;
     assert_eq!((camera.width, camera.height), (64, 48));
     assert!(dataset.points.positions.len() > 1000);

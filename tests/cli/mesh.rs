@@ -161,9 +161,9 @@ fn masks_hide_what_is_not_meshed() {
     mesh("named.obj", "-s @data");
     assert_eq!(place.read("masked.obj"), place.read("named.obj"), "the same bytes");
     let cameras = place.read_text("model/cameras.json");
-    place.write("model/cameras.json", cameras.replace(&photo_name(0), "stranger.png"));
+    place.write("model/cameras.json", cameras.replace(&photo_name(0), "unknown.png"));
     let (partly, _) = mesh("partly.obj", "-s @data");
-    assert_says(&partly.stderr, &["1 of 9 views are named like no photograph"]);
+    assert_says(&partly.stderr, &["no photograph for 1 of 9 views", "unknown.png"]);
     place.write("model/cameras.json", cameras);
     std::fs::rename(place.at("data"), place.at("gone")).expect("renamed");
     let (warned, right) = mesh("unmasked.obj", "");

@@ -5,13 +5,15 @@ use super::colmap::write_model;
 use crate::dataset::{Dataset, DatasetOptions};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::exposure_json;
-use crate::images::{Photo, PhotoFileFormat};
+use crate::host_memory::HostMemory;
+use crate::images::{DepthMap, Photo, PhotoFileFormat};
 use crate::lens_json::LensFile;
+use crate::lpips_weights;
 use crate::photogrammetry;
 use crate::progress::Progress;
 use ashsplat::scene::{Exposure, LensEffects};
 use image::{ImageBuffer, Luma};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -101,5 +103,45 @@ fn depth_maps_of_many_photographs_with_many_points() {
         let options = DatasetOptions { depths: Some("depth".into()), ..DatasetOptions::default() };
         let dataset = Dataset::load(folder, &options, Progress::NONE).unwrap();
         assert!(dataset.train.iter().all(|view| view.inverse_depth.is_some()), "{:?}", dataset.warnings);
+    });
+}
+
+/// One map with more and more pixels, as large as its photograph and smaller.
+#[test]
+fn depth_maps_of_many_pixels() {
+    let write = |folder: &Path, size: usize| {
+        let map = ImageBuffer::from_fn(320, size as u32, |x, y| Luma([((x * y * 40_503) >> 3) as u16]));
+        map.save(folder.join("depth.png")).unwrap();
+    };
+    for scale in [1, 3] {
+        assert_linear(60, write, |folder| {
+            let map = DepthMap::read(folder.join("depth.png"), &HostMemory::default()).unwrap();
+            let photo = map.resized(scale * map.width, scale * map.height);
+            assert_eq!(photo.values.len(), (scale * scale * map.width * map.height) as usize);
+        });
+    }
+}
+
+/// A file of many unwanted tensors. The weights of a network would dominate it.
+#[test]
+fn weights_among_many_tensors() {
+    let write = |folder: &Path, size: usize| {
+        let mut header = Map::new();
+        let mut tensor = |name: String, shape: &[usize], place: [usize; 2]| {
+            header.insert(name, json!({"dtype": "F32", "shape": shape, "data_offsets": place}));
+        };
+        let bytes = 4 * 64 * 3 * 11 * 11;
+        tensor("net.0.weight".into(), &[64, 3, 11, 11], [0, bytes]);
+        (0..size).for_each(|index| tensor(format!("net.slice1.{index}.other"), &[0], [bytes, bytes]));
+        let header = Value::Object(header).to_string().into_bytes();
+        let mut file = (header.len() as u64).to_le_bytes().to_vec();
+        file.extend(header);
+        // Weights that are all zero are refused.
+        file.resize(file.len() + bytes, 0x3c);
+        std::fs::write(folder.join("weights.safetensors"), file).unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        let read = lpips_weights::read(folder.join("weights.safetensors"), &HostMemory::default());
+        assert!(read.err().unwrap().to_string().contains("'net.0.bias'"));
     });
 }

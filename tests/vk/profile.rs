@@ -1,8 +1,8 @@
-//! Records of the opt-in profile.
+//! The opt-in profile: its records, and that it is off by default.
 
 use crate::common::gpu::Gpu;
 use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
-use ashsplat::vk::{Access, Context, Submission};
+use ashsplat::vk::{Access, Context, ContextOptions, Submission};
 
 const COUNT: u32 = 5000;
 
@@ -33,15 +33,23 @@ fn run_scans(gpu: &Gpu) {
     assert_eq!(gpu.read::<u32>(&prefix, COUNT as usize), expected);
 }
 
+/// Other tests use the shared device at the same time: finds the recording by its commands.
+fn of_scans(submissions: Vec<Submission>) -> Submission {
+    let mut own = submissions.into_iter().filter(|s| s.scopes.iter().any(|scope| scope.name == "indirect"));
+    own.next().expect("the recording was logged")
+}
+
+fn own_gpu(options: ContextOptions) -> Gpu {
+    let context = Context::new(&options).expect("a device");
+    Gpu::of(Box::leak(Box::new(context)))
+}
+
 #[test]
 fn profile_names_every_command_with_its_grid_and_time() {
-    let context = Context::new(&crate::common::options()).expect("a device");
-    let gpu = Gpu::of(Box::leak(Box::new(context)));
+    let gpu = own_gpu(crate::common::options());
     let profile = gpu.context.profile();
     run_scans(&gpu);
-    let mut submissions = profile.take().into_iter();
-    let of_scans = |one: &Submission| one.scopes.iter().any(|scope| scope.name == "indirect");
-    let submission = submissions.find(of_scans).expect("the recording was logged");
+    let submission = of_scans(profile.take());
     let names: Vec<(&str, &str)> = submission.commands.iter().map(|c| (c.scope, c.name)).collect();
     let kernels = ["scan/scan_reduce", "scan/scan_spine", "scan/scan_apply"];
     let expected: Vec<(&str, &str)> = std::iter::once(("", "fill"))
@@ -82,4 +90,32 @@ fn check_times(gpu: &Gpu, submission: &Submission) {
     assert!(submission.submitted <= submission.done);
     let ended = submission.device_begun.expect("timestamps") + std::time::Duration::from_nanos(whole as u64);
     assert!(ended == submission.done);
+}
+
+#[test]
+fn profile_is_off_before_and_after() {
+    let gpu = own_gpu(crate::common::options());
+    let profile = gpu.context.profile();
+    let newer = gpu.context.profile();
+    run_scans(&gpu);
+    assert!(profile.take().is_empty(), "the newer profile has taken over");
+    of_scans(newer.take());
+    gpu.context.set_profile(None);
+    run_scans(&gpu);
+    assert!(newer.take().is_empty(), "it rests");
+    gpu.context.set_profile(Some(&newer));
+    run_scans(&gpu);
+    of_scans(newer.take());
+    drop(newer);
+    run_scans(&gpu);
+    assert!(gpu.context.profile().take().is_empty());
+}
+
+#[test]
+fn capture_passes_on_what_its_work_returns() {
+    let gpu = own_gpu(crate::common::options());
+    assert_eq!(gpu.context.capture(|| Ok(7)).expect("VK_EXT_debug_utils"), 7);
+    let failed = gpu.context.capture(|| Err::<(), _>(ashsplat::Error::argument("work", "failed")));
+    assert!(failed.expect_err("an error").to_string().contains("failed"));
+    assert!(gpu.context.validation_messages().is_empty());
 }

@@ -21,7 +21,7 @@ use std::time::Instant;
 ///
 /// The data set is a procedural scene, photographed by ray casting from 40 sides, with a sparse, noisy point cloud, as a
 /// COLMAP folder: `ashsplat train -s OUT/dataset` and every other program that reads COLMAP can use it too. With --scene city it
-/// is a city of many houses in 162 small photographs from above: to be trained in blocks. --lots makes it larger.
+/// is a city of many houses in 162 small photographs from above: to be trained in blocks. --lots makes it smaller or larger.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder for everything

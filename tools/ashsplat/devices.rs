@@ -15,6 +15,7 @@ pub struct Arguments {
     measure: bool,
 }
 
+/// Size of a measured buffer.
 const MEASURED_BYTES: u64 = 64 << 20;
 
 pub fn run(arguments: &Arguments) -> Result<()> {

@@ -80,10 +80,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if count < views.cameras.len() {
         errln!("warning: {} views with parallel rays are left out", views.cameras.len() - count);
     }
-    if photographed.strangers > 0 {
+    if let Some(name) = photographed.unknown.first() {
+        let unknown = photographed.unknown.len();
         errln!(
-            "warning: {} of {count} views are named like no photograph of the data set, so that its masks do not hide anything there",
-            photographed.strangers
+            "warning: the data set with masks has no photograph for {unknown} of {count} views, such as '{name}', which no mask hides \
+             then; name that of the training with -s"
         );
     }
     let [few, many] = MIN_VIEWS;
@@ -236,8 +237,8 @@ struct PhotographedView {
 struct Photographed<'a> {
     gallery: Option<&'a Gallery>,
     views: Vec<PhotographedView>,
-    /// Number of views that the data set has no photograph of.
-    strangers: usize,
+    /// Names of views that a data set with masks has no photograph of.
+    unknown: Vec<String>,
     /// Pinholes of the view that was drawn last. The next one mostly has the same lens.
     last: Option<Pinholes>,
 }
@@ -263,9 +264,11 @@ impl<'a> Photographed<'a> {
         };
         let cameras =
             || views.cameras.iter().enumerate().filter(|(_, named)| !named.camera.is_orthographic());
-        let is_stranger = |named: &NamedCamera| gallery.is_some() && !known.contains_key(named.name.as_str());
-        let strangers = cameras().filter(|(_, named)| is_stranger(named)).count();
-        Ok(Self { gallery, views: cameras().map(photographed).collect(), strangers, last: None })
+        let has_masks =
+            gallery.is_some_and(|all| (0..known.len()).any(|photograph| all.may_be_masked(photograph)));
+        let unknown = cameras().filter(|(_, named)| has_masks && !known.contains_key(named.name.as_str()));
+        let unknown = unknown.map(|(_, named)| named.name.clone()).collect();
+        Ok(Self { gallery, views: cameras().map(photographed).collect(), unknown, last: None })
     }
 
     fn notes(&self) -> Vec<String> {

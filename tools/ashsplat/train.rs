@@ -333,13 +333,16 @@ pub struct Run {
     skipped: u32,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
+    /// Iteration of the last saved scene.
     saved: Option<u32>,
+    /// Iteration of the last checkpoint.
     checkpointed: Option<u32>,
     /// Scene or checkpoint that could not be saved yet.
     retries: SaveRetries,
     kernels: KernelTimes,
     /// Further arguments that are needed to continue with the same bits.
     repeated: String,
+    /// The iteration that it stops at.
     until: u32,
     /// True if it is one of several rounds.
     is_in_rounds: bool,

@@ -49,6 +49,7 @@ pub struct Figures {
     pub fills: Option<f64>,
     /// Bytes of memory of an invocation: arrays and spills. NVIDIA's drivers may report spills only here.
     pub scratch_bytes: Option<f64>,
+    /// Shared memory of a workgroup.
     pub shared_bytes: Option<f64>,
     /// Subgroups that fit on a SIMD at a time; for NVIDIA, a quarter of the warps that fit on an SM.
     pub subgroups_per_simd: Option<f64>,

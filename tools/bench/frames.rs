@@ -48,6 +48,7 @@ pub struct PlannedWork<'a> {
     context: &'a Context,
     plan: &'a Plan,
     runner: Runner,
+    /// Statistics of the last iteration.
     stats: IterationStats,
 }
 

@@ -42,7 +42,9 @@ impl Iteration {
 pub struct Measured {
     /// Iterations with every command timed.
     pub iterations: Vec<Iteration>,
+    /// Wall time of untimed iterations.
     pub untimed_ms: Option<Spread>,
+    /// Processor seconds of untimed iterations.
     pub cpu_seconds: Option<Spread>,
 }
 
@@ -152,6 +154,7 @@ impl Measured {
         }
     }
 
+    /// Wall time per iteration.
     pub fn wall_ms(&self) -> Spread {
         self.spread(|iteration| Some(iteration.wall.as_secs_f64() * 1e3)).unwrap_or_default()
     }

@@ -57,6 +57,7 @@ pub struct Device {
     pub driver: String,
     pub api_version: String,
     pub subgroup_size: u32,
+    /// Subgroup size of the heaviest kernels.
     pub heavy_subgroup_size: Option<u32>,
     /// Form of the kernels that ran, "gpu" or "processor".
     pub backend: Option<String>,
@@ -65,6 +66,7 @@ pub struct Device {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
+    /// Requested number of measured iterations.
     pub iterations: u32,
     /// Uncounted iterations before them.
     pub warmup: u32,
@@ -103,6 +105,7 @@ pub struct Run {
     /// "render-shared" ("draw-…") if both forms of blending are measured.
     pub name: String,
     pub workload: Workload,
+    /// Measured iterations.
     pub iterations: u32,
     /// Wall time of an iteration, with every command timed.
     pub wall_ms: Spread,
@@ -123,6 +126,7 @@ pub struct Run {
 /// Parts of the mean wall time of an iteration; they add up to it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Split {
+    /// Mean wall time.
     pub wall_ms: f64,
     /// Sum of all commands on the device; null without timestamps.
     pub kernels_ms: Option<f64>,

@@ -57,7 +57,7 @@ struct Suite {
     /// Options of `train` for all runs.
     #[serde(default)]
     options: Vec<String>,
-    /// Source of the scenes' published rows.
+    /// Source of the scenes' published rows: all have one, or none.
     published: Option<String>,
     #[serde(rename = "scene")]
     scenes: Vec<Scene>,
@@ -94,8 +94,18 @@ struct Scene {
     near: Option<String>,
     /// The time until training first reaches this PSNR is measured, dB.
     until: Option<f64>,
-    /// Others' PSNR, SSIM and LPIPS (VGG) by the same protocol.
-    published: Option<[f64; 3]>,
+    /// Others' results by the same protocol.
+    published: Option<Published>,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Published {
+    /// dB.
+    psnr: f64,
+    ssim: f64,
+    /// By VGG16.
+    lpips: f64,
 }
 
 fn stored_size() -> i32 {
@@ -194,8 +204,16 @@ impl Suite {
             let unusable = name.1.is_empty() || name.1.contains(['/', '\\', '.']) || name.1 == "data";
             unusable || !folders.insert(*name)
         });
+        let is_published = |scene: &Scene| scene.published.is_some() == suite.published.is_some();
+        let numbers = suite.scenes.iter().filter_map(|scene| scene.published);
+        let mut numbers = numbers.flat_map(|Published { psnr, ssim, lpips }| [psnr, ssim, lpips]);
         match bad {
             _ if empty => Err(Error::input(path, "has no scenes, no recipes or no seeds", remedy)),
+            _ if !suite.scenes.iter().all(is_published) || numbers.any(|n| !(0.0..=100.0).contains(&n)) => {
+                let problem =
+                    "has published rows of some scenes only, without their source, or not from 0 to 100";
+                Err(Error::input(path, problem, remedy))
+            }
             Some((kind, name)) => {
                 let problem = format!("the {kind} '{name}' is named twice, or by no name of a folder");
                 Err(Error::input(path, problem, "give names of letters and digits, each once"))
@@ -277,10 +295,9 @@ impl Suite {
             tables.push((format!("Recipe {}", recipe.name), scenes().map(runs_of).collect()));
         }
         if let Some(source) = &self.published {
-            let columns = |[psnr, ssim, lpips]: [f64; 3]| [psnr, ssim, lpips, f64::NAN, f64::NAN, f64::NAN];
-            let published =
-                self.scenes.iter().map(|scene| scene.published.map(columns).into_iter().collect());
-            tables.push((format!("Published: {source}"), published.collect()));
+            let columns = |Published { psnr, ssim, lpips }| [psnr, ssim, lpips, f64::NAN, f64::NAN, f64::NAN];
+            let published = self.scenes.iter().filter_map(|scene| scene.published.map(columns));
+            tables.push((format!("Published: {source}"), published.map(|row| vec![row]).collect()));
         }
         for (title, of_scenes) in tables {
             text += &format!("\n{title}\n\n");
@@ -290,7 +307,7 @@ impl Suite {
             for (scene, of_scene) in self.scenes.iter().zip(&of_scenes) {
                 text += &quality_row(&scene.name, of_scene, true);
             }
-            text += &quality_row("**mean**", &of_scenes.concat(), false);
+            text += &quality_row("**mean**", &of_scenes.concat(), self.scenes.len() == 1);
         }
         text
     }

@@ -8,6 +8,7 @@ use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity,
 use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
 use std::collections::HashMap;
 
+/// Bytes of a vec4.
 const VEC4: u64 = 16;
 /// Planes of a Gaussian that culling reads: mean and opacity, rotation, scales.
 const GEOMETRY_PLANES: u64 = 3;

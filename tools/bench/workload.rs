@@ -13,6 +13,7 @@ use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
 
+/// Most Gaussians of a synthetic scene.
 pub const MAX_GAUSSIANS: i64 = 1 << 26;
 
 /// A synthetic scene and its picture.

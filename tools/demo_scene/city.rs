@@ -2,7 +2,7 @@
 //!
 //! World frame: z up, the ground at z = 0. A square of lots of 1.6 units, eight by eight by default. Houses have individual
 //! sizes, colours and textures; about every seventh lot has trees instead. The cameras fly over it in a grid and look
-//! obliquely, so each photograph shows a few lots and none shows all of them. A larger city has as many photographs per lot.
+//! obliquely, so each photograph shows a few lots and none shows all of them. Other cities have about as many photographs per lot.
 
 use crate::scene::{Object, Scene, Shape, Texture, lattice_noise};
 use ashsplat::scene::{Camera, Intrinsics};
@@ -16,7 +16,7 @@ const LOT: f32 = 1.6;
 const CAMERAS: u32 = 9;
 /// Half the side of the square of camera positions, and their height.
 const FLIGHT: [f32; 2] = [5.8, 3.0];
-/// Radius of the terrace per lot along a side.
+/// Radius of the terrace per lot along a side. A smaller city stands on that of the default one.
 const TERRACE: f32 = 1.25;
 /// Horizontal field of view, radians.
 const FOV_X: f32 = 0.96;
@@ -44,7 +44,8 @@ pub fn scene(city: City) -> Scene {
         joint: vec3(0.55, 0.54, 0.50),
         size: LOT,
     };
-    let mut objects = vec![Object::matt(Shape::Terrace { radius: TERRACE * lots as f32 }, ground)];
+    let mut objects =
+        vec![Object::matt(Shape::Terrace { radius: TERRACE * city.lots.max(LOTS) as f32 }, ground)];
     for (i, j) in (0..lots).flat_map(|i| (0..lots).map(move |j| (i, j))) {
         objects.extend(lot(i, j, lots));
     }

@@ -261,6 +261,7 @@ struct PassInfo<'a> {
     /// SPIR-V of the vertex and of the fragment shader.
     shaders: [&'a [u8]; 2],
     filter: vk::Filter,
+    /// Stage and bytes of the push constants.
     push: Option<(vk::ShaderStageFlags, u32)>,
     color: Option<vk::Format>,
     depth: Option<vk::Format>,

@@ -46,6 +46,7 @@ impl HostArguments {
         ReadOptions { drop_invalid, max_host_memory: self.max_host_memory }
     }
 
+    /// Host memory budget of photos.
     pub fn memory(&self) -> HostMemory {
         self.max_host_memory.map(HostMemory::new).unwrap_or_default()
     }

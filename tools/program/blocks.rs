@@ -205,6 +205,7 @@ impl Division {
         (block.core.bounds(&self.frame()), self.margin_in_world())
     }
 
+    /// The margin, world units.
     pub fn margin_in_world(&self) -> f32 {
         (f64::from(self.margin) / self.unit) as f32
     }

@@ -34,9 +34,11 @@ pub struct ViewResult {
     pub frame_ms: Option<f64>,
 }
 
+/// Size of a scene.
 #[derive(Clone, Copy)]
 pub struct SceneSize {
     pub gaussians: u64,
+    /// Size of its file.
     pub bytes: Option<u64>,
 }
 

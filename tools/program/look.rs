@@ -148,6 +148,7 @@ pub fn tree_of(folder: &Path, has_budget: bool) -> Result<Option<Tree>> {
     if has_budget { Err(Error::argument("--budget", problem)) } else { Ok(None) }
 }
 
+/// Number of Gaussians of a budget.
 pub fn gaussians_of(budget: Target, tree: &Tree) -> usize {
     match budget {
         Target::Count(count) => usize::try_from(count).unwrap_or(usize::MAX),

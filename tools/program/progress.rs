@@ -57,6 +57,7 @@ pub struct TrainProgress {
     /// Seconds per iteration.
     mean_seconds: RunningMean,
     mean_loss: RunningMean,
+    /// Time of the last plain line.
     last_line: Instant,
     /// True once [`TrainProgress::first_estimate`] was given.
     estimated: bool,

@@ -82,7 +82,7 @@ fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
 fn show(file: &BlocksFile, arguments: &Arguments) -> usize {
     let round = file.exchanges() + 1;
     let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block, round)).collect();
-    let trained = all.iter().filter(|status| status.state == TRAINED).count();
+    let trained = all.iter().filter(|status| status.state == State::Trained).count();
     if arguments.json {
         let needed = |block| memory_bytes(file, block, arguments.growth);
         let blocks: Vec<Value> = all.iter().map(|status| status.json(needed(status.block))).collect();
@@ -96,23 +96,30 @@ fn show(file: &BlocksFile, arguments: &Arguments) -> usize {
     trained
 }
 
-/// State of a block whose training is complete.
-const TRAINED: &str = "trained";
+#[derive(Clone, Debug, PartialEq)]
+enum State {
+    Waiting,
+    /// The process that trains it.
+    Training(String),
+    Stopped,
+    /// Ended this round; waits for the exchange.
+    Exchange(u32),
+    Trained,
+    /// Trained for another division.
+    Other,
+}
 
+/// Progress of one block.
 struct Status<'a> {
     block: &'a Block,
-    /// In words.
-    state: &'static str,
-    /// The process that trains it.
-    trainer: Option<String>,
-    /// The round that it has ended, if it waits for the exchange.
-    ended: Option<u32>,
+    state: State,
     /// Last iteration in its log.
     iteration: u32,
     gaussians: Option<u64>,
     /// Last measured PSNR, dB.
     psnr: Option<f64>,
     iterations_per_second: Option<f64>,
+    /// Peak memory on the device.
     peak_bytes: Option<u64>,
 }
 
@@ -125,15 +132,13 @@ impl Status<'_> {
         let last = |column: &[f64]| column.iter().rev().copied().find(|value| value.is_finite());
         let iteration = last(&rows.iterations).unwrap_or(0.0) as u32;
         let waits = file.ended_own(block).is_some_and(|ended| ended.round == round);
-        let trainer = lock::holder(&folder, &TRAINING);
-        let noted = result::noted(file, block);
-        let (state, ended) = match noted {
-            _ if trainer.is_some() => ("training", None),
-            Some(true) => (TRAINED, None),
-            Some(false) => ("of another division", None),
-            None if waits => ("waiting for an exchange", Some(round)),
-            None if iteration > 0 => ("stopped", None),
-            None => ("waiting", None),
+        let state = match (result::noted(file, block), lock::holder(&folder, &TRAINING)) {
+            (_, Some(holder)) => State::Training(holder),
+            (Some(true), None) => State::Trained,
+            (Some(false), None) => State::Other,
+            (None, None) if waits => State::Exchange(round),
+            (None, None) if iteration > 0 => State::Stopped,
+            (None, None) => State::Waiting,
         };
         let recent = &rows.milliseconds[rows.milliseconds.len().saturating_sub(RECENT)..];
         let seconds = recent.iter().filter(|ms| ms.is_finite()).sum::<f64>() / 1e3;
@@ -141,8 +146,6 @@ impl Status<'_> {
         Status {
             block,
             state,
-            trainer,
-            ended,
             iteration,
             gaussians: last(&rows.gaussians).map(|count| count as u64),
             psnr,
@@ -151,31 +154,50 @@ impl Status<'_> {
         }
     }
 
+    fn word(&self) -> &'static str {
+        match self.state {
+            State::Exchange(_) => "waiting for an exchange",
+            State::Waiting => "waiting",
+            State::Training(_) => "training",
+            State::Stopped => "stopped",
+            State::Trained => "trained",
+            State::Other => "of another division",
+        }
+    }
+
     fn line(&self) -> String {
-        let Status { block, state, iteration, .. } = self;
-        let mut line = format!("block {}: {state}, {iteration}/{}", block.number, block.iterations);
+        let Status { block, iteration, .. } = self;
+        let mut line = format!("block {}: {}, {iteration}/{}", block.number, self.word(), block.iterations);
         let mut add = |what: Option<String>| line.extend(what.map(|what| format!(", {what}")));
-        add(self.ended.map(|round| format!("round {round} done")));
+        if let State::Exchange(round) = self.state {
+            add(Some(format!("round {round} done")));
+        }
         add(self.psnr.map(|psnr| format!("{psnr:.2} dB")));
         add(self.iterations_per_second.map(|speed| format!("{speed:.1} it/s")));
         add(self.gaussians.map(|count| format!("{} Gaussians", thousands(count))));
         let mebibytes = self.peak_bytes.map(|bytes| bytes >> 20).filter(|&count| count > 0);
         add(mebibytes.map(|count| format!("{count} MiB at most")));
-        add(self.trainer.clone().filter(|holder| !holder.is_empty()));
+        if let State::Training(holder) = &self.state {
+            add(Some(holder.clone()).filter(|holder| !holder.is_empty()));
+        }
         line
     }
 
     fn json(&self, memory_bytes: u64) -> Value {
+        let holder = match &self.state {
+            State::Training(holder) => Some(holder),
+            _ => None,
+        };
         json!({
             "number": self.block.number,
-            "state": self.state,
+            "state": self.word(),
             "iteration": self.iteration,
             "iterations": self.block.iterations,
             "gaussians": self.gaussians,
             "psnr": self.psnr,
             "iterations_per_second": self.iterations_per_second,
             "peak_bytes": self.peak_bytes,
-            "trainer": self.trainer,
+            "trainer": holder,
             "memory_bytes": memory_bytes,
         })
     }

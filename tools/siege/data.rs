@@ -9,6 +9,7 @@ use std::path::Path;
 const VIEWS: u32 = 9;
 const SIZE: [u32; 2] = [48, 32];
 const FOCAL: f64 = 57.0;
+/// Distance of the wall.
 const DISTANCE: f64 = 2.5;
 
 /// A COLMAP model of a coloured wall, photographed from nine positions; a formula gives every pixel.

@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
+/// Most frames of a film.
 const MAX_FRAMES: u32 = 3000;
 /// Widest GIF, pixels: 8 bits of colour look no better in a larger one.
 const GIF_WIDTH: u32 = 640;

@@ -77,6 +77,7 @@ pub struct OpenScenes {
 pub struct Streamed {
     pub tree: Arc<Tree>,
     pub read: ReadOptions,
+    /// Most Gaussians of a picture.
     pub budget: usize,
     /// Tiles whose links lead out of this folder are not read.
     pub within: Option<PathBuf>,

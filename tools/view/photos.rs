@@ -25,12 +25,14 @@ const THUMBNAIL_QUALITY: u8 = 75;
 const THUMBNAIL_WIDTH: u32 = 140;
 /// Memory for decoding photos, MiB. A photo that takes more is decoded alone.
 const DECODING_MIB: u32 = 512;
+/// Most photos that are decoded at once.
 const DECODERS: u32 = 2;
 /// Bytes per pixel while a photo is decoded, scaled and encoded.
 const BYTES_PER_PIXEL: u64 = 8;
 /// Memory of photos that are being sent, MiB. A page that does not read occupies its share.
 const SENDING_MIB: u32 = 128;
 
+/// Requested size of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     Full,

@@ -9,6 +9,7 @@ use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+/// Most pixels of a requested picture.
 pub const MAX_PIXELS: u64 = 3840 * 2400;
 
 #[derive(Clone, Debug, Deserialize)]
@@ -77,6 +78,7 @@ pub struct CameraMessage {
     pub fy: f32,
     pub cx: f32,
     pub cy: f32,
+    /// Size of the picture, pixels.
     pub width: u32,
     pub height: u32,
     /// Lens of the photo that the view is exactly of; none for pinholes.

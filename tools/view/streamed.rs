@@ -46,10 +46,13 @@ struct Streaming {
     residency: Residency<DeviceScene>,
     loader: Loader,
     on_tile: OnTile,
+    /// The program's budget, Gaussians.
     budget: usize,
+    /// The current viewer and its budget.
     current: (Viewer, usize),
     /// Most Gaussians that the device has had memory for; caps every viewer's budget.
     limit: usize,
+    /// Figures of the last picture.
     shown: Value,
 }
 

@@ -33,6 +33,7 @@ pub struct Video {
     pub frames: usize,
 }
 
+/// Requested number of frames.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameRequest {
     pub frames: Option<usize>,
@@ -61,6 +62,7 @@ fn intervals(video: &Video, seconds: f64) -> usize {
 pub struct Reader<'a> {
     pub program: &'a OsStr,
     pub path: &'a Path,
+    /// Memory budget of frames.
     pub max_bytes: u64,
     pub stop: &'a AtomicBool,
 }

@@ -137,8 +137,9 @@ impl Live {
             self.hub.renew();
         }
         if self.allowance.permits() && self.hub.has_work() {
+            let start = Instant::now();
             let served = self.render_thread.serve(trainer, Duration::ZERO);
-            self.allowance.spent(self.trains_since.elapsed());
+            self.allowance.spent(start.elapsed());
             self.trains_since = Instant::now();
             served?;
         }

@@ -53,8 +53,8 @@ impl SaveRetries {
         }
     }
 
-    #[cfg(feature = "view")]
     /// Notes that the scene a page requested could not be saved.
+    #[cfg(feature = "view")]
     pub fn retry_scene(&mut self) {
         self.scene = Some(Instant::now() + AGAIN);
     }

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Default share of training's time.
 pub(super) const SHARE: f64 = 0.02;
+/// Largest number of tracked views.
 const VIEWS: usize = 8;
 /// Approximate number of points of a run's curve, and the largest interval between two.
 const POINTS: u32 = 200;

@@ -43,6 +43,7 @@ pub fn trace(device: &str, iterations: &[Iteration]) -> Value {
     })
 }
 
+/// Time in microseconds since the origin.
 fn at(origin: Instant, time: Instant) -> f64 {
     time.saturating_duration_since(origin).as_secs_f64() * 1e6
 }

@@ -1,4 +1,4 @@
-//! Errors of a trained demo scene's depths and normals, in the pictures of the named cameras (those held out of the training, say):
+//! Errors of depths and normals of the demo's trained terrace, in the pictures of the named cameras (those held out, say):
 //! `cargo run --release -p ashsplat-demo-scene --example depth_error -- SCENE.ply MODEL/cameras.json NAME...`.
 //!
 //! Counts pixels that show a surface both in the frame and in the truth. An error of depth is relative to the true depth along the
@@ -15,16 +15,21 @@ use rayon::prelude::*;
 use std::error::Error;
 use std::path::Path;
 
+const USAGE: &str = "give SCENE.ply, cameras.json and names of cameras";
 const NORMAL_DEGREES: f32 = 10.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [scene, cameras, names @ ..] = &arguments[..] else {
-        return Err("give SCENE.ply, cameras.json and names of cameras".into());
-    };
+    let [scene, cameras, names @ ..] = &arguments[..] else { return Err(USAGE.into()) };
+    if names.is_empty() {
+        return Err(USAGE.into());
+    }
     let (trained, truth) = (splats::read(Path::new(scene), &ReadOptions::default())?, Scene::demo());
-    let mut views = cameras_json::read(cameras, &WorldFrame::default())?;
-    views.retain(|view| names.contains(&view.name));
+    let known = cameras_json::read(cameras, &WorldFrame::default())?;
+    let view = |name: &String| {
+        known.iter().find(|view| view.name == *name).ok_or(format!("{cameras} has no {name}"))
+    };
+    let views = names.iter().map(view).collect::<Result<Vec<_>, _>>()?;
     let mut renderer = Renderer::new(&Context::new(&ContextOptions::default())?)?;
     renderer.upload(&trained.gaussians)?;
     for (name, depth) in [("median", SurfaceDepth::Median), ("front", SurfaceDepth::Front)] {

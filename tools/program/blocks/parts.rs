@@ -41,6 +41,7 @@ impl Part {
     }
 }
 
+/// Content of a small picture's pixels.
 pub struct BlockPixels {
     size: [usize; 2],
     /// True for pixels that show the block with its margin; `None` for transparent pixels.

@@ -62,6 +62,7 @@ struct Results {
     views: usize,
     /// Largest distance from a seam that counts as along it, source units.
     band: f32,
+    /// Share of the pixels in the band.
     band_share: f64,
     merged: Quality,
     against: Option<Quality>,

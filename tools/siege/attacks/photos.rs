@@ -19,6 +19,7 @@ struct Gallery {
     before: u64,
 }
 
+/// Size of a photo, pixels.
 fn size(siege: &Siege) -> u32 {
     siege.choose(2500, 5000)
 }

@@ -20,11 +20,13 @@ pub struct Client {
     pub page: Option<u64>,
 }
 
+/// A budget and its waiting clients.
 #[derive(Clone)]
 pub struct Queue(Arc<Mutex<State>>);
 
 struct State {
     free: u32,
+    /// Largest share of one client.
     max_share: u32,
     clients: BTreeMap<Client, Jobs>,
     turns: u64,
@@ -34,6 +36,7 @@ struct State {
 #[derive(Default)]
 struct Jobs {
     waiting: VecDeque<(u32, oneshot::Sender<Permit>)>,
+    /// Its current share of the budget.
     held: u32,
     /// Turn in which it was served last.
     served: u64,
@@ -74,6 +77,7 @@ impl Queue {
         tokio::time::timeout(PATIENCE, permit).await.ok()?.ok()
     }
 
+    /// Gives the free budget to waiting clients.
     fn serve(&self) {
         loop {
             let Some((grant, permit)) = self.next() else { return };

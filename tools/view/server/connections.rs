@@ -17,6 +17,7 @@ use tokio::net::{TcpListener, TcpStream};
 
 /// Pause when no connection can be accepted, for example because there are no free descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
+/// Most bytes of a request's headers.
 const MAX_HEADERS: usize = 64 << 10;
 
 pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {

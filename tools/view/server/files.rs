@@ -9,6 +9,7 @@ use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
+/// Largest piece, bytes.
 const PIECE: u64 = 256 << 10;
 
 /// The contents of a regular file; none if there is no such file. Keeps a value until all is sent or the receiver has gone.

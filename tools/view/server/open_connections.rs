@@ -64,6 +64,7 @@ pub struct OpenConnection {
 }
 
 struct State {
+    /// Time of the last traffic.
     last_traffic: Instant,
     requests: usize,
     /// True for a page's WebSocket, which is watched elsewhere.

@@ -2,6 +2,7 @@
 
 use font8x8::{BASIC_FONTS, GREEK_FONTS, LATIN_FONTS, UnicodeFonts};
 
+/// Width and height of a letter, dots.
 const LETTER: u32 = 8;
 /// Distance between lines, and margin around all lines, dots.
 const LINE: u32 = 11;

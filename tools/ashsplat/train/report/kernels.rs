@@ -11,6 +11,7 @@ const OFFSET: u32 = 7;
 /// Least free memory for timing, which must not make a run fail.
 const SPARE_BYTES: u64 = 16 << 20;
 
+/// Measured times.
 pub struct KernelTimes {
     context: Context,
     profile: Option<Profile>,
