@@ -101,7 +101,9 @@ vec4 stepped(vec4 p, vec4 m, vec4 root, vec4 rate, vec4 inverse_bias) {
 }
 
 void step_parameters(uint at, vec4 m, vec4 root, vec4 rate, vec4 inverse_bias) {
-    VEC4_PUT(parameters, at, stepped(VEC4_AT(old_parameters, at), m, root, rate, inverse_bias));
+    // The macro evaluates its value twice.
+    vec4 p = stepped(VEC4_AT(old_parameters, at), m, root, rate, inverse_bias);
+    VEC4_PUT(parameters, at, p);
 }
 
 void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
