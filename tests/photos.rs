@@ -202,7 +202,7 @@ fn transparent_photographs_have_the_random_background() {
     }
 }
 
-/// What a mask hides has no effect.
+/// Pixels that a mask hides have no effect on a training.
 #[test]
 fn photographs_under_their_masks_change_no_bit() {
     let gpu = Gpu::new();
