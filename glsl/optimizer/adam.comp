@@ -101,9 +101,7 @@ vec4 stepped(vec4 p, vec4 m, vec4 root, vec4 rate, vec4 inverse_bias) {
 }
 
 void step_parameters(uint at, vec4 m, vec4 root, vec4 rate, vec4 inverse_bias) {
-    // A value that is computed within the store takes llvmpipe 1.5 times as long for the whole kernel.
-    vec4 p = stepped(VEC4_AT(old_parameters, at), m, root, rate, inverse_bias);
-    VEC4_PUT(parameters, at, p);
+    VEC4_PUT(parameters, at, stepped(VEC4_AT(old_parameters, at), m, root, rate, inverse_bias));
 }
 
 void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
