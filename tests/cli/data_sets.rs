@@ -200,7 +200,6 @@ fn options_of_the_demo_that_do_not_fit_are_refused() {
     refused("--lens opencv --layout nerf-synthetic --dataset-only", &["--lens", "nerf-synthetic"]);
     refused("--lens fov", &["--lens", "opencv-fisheye"]);
     refused("--lots 12", &["--lots", "city"]);
-    refused("--photo-width 64", &["--photo-width", "city"]);
 }
 
 /// Fails unless both layouts load identically, to the bit.

@@ -20,8 +20,8 @@ use serde_json::json;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// Size of the photographs, pixels.
-const SIZE: [u32; 2] = [256, 192];
+/// Width of the terrace's photographs, pixels.
+const WIDTH: u32 = 256;
 /// Horizontal field of view, radians.
 const FOV_X: f32 = 0.96;
 /// Views on each of the two circles.
@@ -78,7 +78,7 @@ pub struct Choices {
     /// Lots along a side of the city, 4 to 32: 16 have four times the houses, points and photographs [default: 8]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..=32))]
     lots: Option<u32>,
-    /// Width of the city's photographs, 64 to 1024 pixels; their height is three quarters of it [default: 128]
+    /// Width of the photographs, 64 to 1024 pixels; their height is three quarters of it [default: 256, for the city 128]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=1024))]
     photo_width: Option<u32>,
     /// Lens or shutter of the photographs
@@ -101,14 +101,10 @@ impl Choices {
             let problem = "is not for --layout nerf-synthetic, which has angles of view only";
             return Err(Error::argument("--lens", problem));
         }
-        for (name, is_given) in
-            [("--lots", self.lots.is_some()), ("--photo-width", self.photo_width.is_some())]
-        {
-            if is_given && self.scene != Subject::City {
-                return Err(Error::argument(name, "is of the city: give --scene city as well"));
-            }
+        match self.lots.is_some() && self.scene != Subject::City {
+            true => Err(Error::argument("--lots", "is of the city: give --scene city as well")),
+            false => Ok(()),
         }
-        Ok(())
     }
 
     fn city(&self) -> City {
@@ -128,7 +124,7 @@ impl Choices {
 /// COLMAP's and the synthetic scenes' layouts hold the same cameras, photographs and points, to the bit.
 pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result<()> {
     let (scene, cameras, count) = match choices.scene {
-        Subject::Terrace => (Scene::demo(), cameras(), POINTS),
+        Subject::Terrace => (Scene::demo(), cameras(choices.photo_width.unwrap_or(WIDTH)), POINTS),
         Subject::City => {
             let city = choices.city();
             let (lots, usual) = (city.lots as usize, City::default().lots as usize);
@@ -284,8 +280,8 @@ fn write_rolling(folder: &Path, views: &[View], poses: &[Pose], points: &PointCl
 /// Two circles of cameras, the upper one turned by half a step.
 ///
 /// Every 8th view is held out: three of the lower circle and two of the upper one, none beside another.
-fn cameras() -> Vec<Camera> {
-    let intrinsics = Intrinsics::from_fov_x(FOV_X, SIZE[0], SIZE[1]);
+fn cameras(width: u32) -> Vec<Camera> {
+    let intrinsics = Intrinsics::from_fov_x(FOV_X, width, width * 3 / 4);
     let view = |index: u32| {
         let (circle, place) = (index / VIEWS_PER_CIRCLE, index % VIEWS_PER_CIRCLE);
         let step = std::f32::consts::TAU / VIEWS_PER_CIRCLE as f32;
