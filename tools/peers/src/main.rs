@@ -1,10 +1,9 @@
 //! Other authors' crates beside ashsplat, in turn on the same machine: rows of the table in tools/measured.md. See README.md.
 //!
-//!     cargo run --release -- sort [PAIRS] | frame SCENE.ply FOLDER | ours SCENE.ply FOLDER | alike A.png B.png | camera
+//!     cargo run --release -- frame SCENE.ply FOLDER | ours SCENE.ply FOLDER | alike A.png B.png | camera
 
 mod frame;
 mod measure;
-mod sort;
 
 use ashsplat::glam::{Mat3, Quat, Vec3};
 use ashsplat::scene::{Camera, Intrinsics};
@@ -26,16 +25,11 @@ fn main() -> ExitCode {
 
 fn run(arguments: &[&str]) -> Result<()> {
     match arguments {
-        ["sort"] => sort::run(1 << 18, RUNS),
-        ["sort", pairs] => {
-            sort::run(pairs.parse().map_err(|_| format!("'{pairs}' is no number of pairs"))?, RUNS)
-        }
         ["frame", scene, folder] => frame::run(scene.as_ref(), &camera(), RUNS, folder.as_ref()),
         ["ours", scene, folder] => frame::ours(scene.as_ref(), &camera(), RUNS, folder.as_ref()),
         ["alike", a, b] => frame::alike(a.as_ref(), b.as_ref()),
         ["camera"] => Ok(println!("{}", for_playcanvas(&camera()))),
-        _ => Err("sort [PAIRS], frame SCENE.ply FOLDER, ours SCENE.ply FOLDER, alike A.png B.png, or camera"
-            .into()),
+        _ => Err("frame SCENE.ply FOLDER, ours SCENE.ply FOLDER, alike A.png B.png, or camera".into()),
     }
 }
 
