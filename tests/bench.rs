@@ -50,13 +50,10 @@ fn bench_all_follows_its_schema() {
     assert_eq!(report["settings"]["clock"], "timestamps");
     assert!(number(&report["copy_bandwidth"]["gigabytes_per_second"]) > 0.0);
     assert!(number(&report["arithmetic"]["gigaoperations_per_second"]) > 0.0);
-    let names = runs(&report).iter().filter_map(|run| run["name"].as_str());
-    let is_form = |name: &&str| name.contains("-regions") || name.contains("-shared");
-    let (forms, names): (Vec<&str>, Vec<&str>) = names.partition(is_form);
-    // On a CPU the smaller sort is only timed as a whole, and one frame suffices for the table of forms.
+    let names: Vec<&str> = runs(&report).iter().filter_map(|run| run["name"].as_str()).collect();
+    // On a CPU the smaller sort is only timed as a whole.
     let whole = report["device"]["kind"] == "CPU";
     assert_eq!(names, ["scan", "sort", "sort-3000", "render", "render-900@64x64", "train-step"]);
-    assert_eq!(forms.len(), if whole { 2 } else { 4 }, "{forms:?}");
     let other = runs(&report).iter().find(|run| run["name"] == "render-900@64x64").expect("the frame");
     assert_eq!(other["workload"]["gaussians"], 900);
     assert_eq!(runs(&report)[1]["split"]["kernels_ms"].is_null(), whole);
@@ -221,7 +218,6 @@ fn bench_refuses_results_that_cannot_be_written_at_once() {
         refuse(&[&["bench", "render", "--json", bad], &LARGE[..]].concat(), &["error: "]);
         refuse(&["profile", "--trace", bad, "--gaussians", "3000000", "--frames", "1000"], &["error: "]);
     }
-    refuse(&["profile", "--dump", &below_file], &["is no folder"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "nothing is left behind");
     // A missing folder is created.
     measure("scan", &["--quiet", "--json", &at("new/folder/a.json")]);
@@ -261,14 +257,8 @@ fn options_that_would_not_be_used_are_refused() {
 fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
     use crate::{cli::program, program::running::Running};
     use std::process::Stdio;
-    let folder = tempdir().expect("a temporary folder");
-    let commands: [&[&str]; 5] = [
-        &["devices"],
-        &["--help"],
-        &["bench", "scan", "--elements", "99"],
-        &["profile", "--dump", text(folder.path())],
-        &["--version"],
-    ];
+    let commands: [&[&str]; 4] =
+        [&["devices"], &["--help"], &["bench", "scan", "--elements", "99"], &["--version"]];
     for arguments in commands {
         let full = std::fs::File::options().write(true).open("/dev/full").expect("a full device");
         let output = program().args(arguments).stdout(full).stderr(Stdio::piped()).output();
@@ -292,42 +282,6 @@ fn blended(run: &Value) -> Vec<&str> {
 }
 
 #[test]
-fn bench_blending_measures_both_forms_in_turn() {
-    let (_folder, [json]) = new_paths(["a.json"]);
-    let table = succeed(&[&["bench", "blending", "--json", text(&json)], &BLENDED[..]].concat());
-    let line = table.lines().last().expect("a line");
-    assert!(line.starts_with("blending from shared memory takes "), "{table}");
-    assert_says(line, &["400 Gaussians"]);
-    let report = read(&json);
-    let runs = runs(&report);
-    let of = |form: &str| {
-        let name = format!("render-{form}");
-        let run = runs.iter().find(|run| run["name"] == name.as_str()).unwrap_or_else(|| panic!("no {name}"));
-        assert_eq!(run["workload"]["blending"], form);
-        assert_eq!(run["iterations"], 3);
-        let kernel = kernels(run).iter().find(|k| k["scope"] == "blend").expect("blending");
-        assert!(number(&kernel["operations"]) > 0.0, "{kernel}");
-        (run, number(&kernel["samples"]))
-    };
-    let ((regions, few), (shared, many)) = (of("regions"), of("shared"));
-    assert_eq!(runs.len(), 2);
-    assert_eq!(regions["workload"]["hash"], shared["workload"]["hash"]);
-    assert_eq!((blended(regions), blended(shared)), (vec!["forward/blend"], vec!["forward/blend_shared"]));
-    assert!(0.0 < few && few < many);
-    assert!(line.contains(&format!("for {:.2} times as many samples", many / few)), "{line}");
-    // Runs that read nothing back have other names; their ratio is printed too.
-    let drawn = succeed(&[&["bench", "blending", "--no-read-back"], &BLENDED[..]].concat());
-    assert!(drawn.contains("\ndraw-regions: ") && drawn.contains("\ndraw-shared: "), "{drawn}");
-    assert!(drawn.lines().last().is_some_and(|line| line.starts_with("blending from shared")), "{drawn}");
-    let step = [&["bench", "train-step", "--no-read-back"], &BLENDED[..]].concat();
-    refuse(&step, &["--no-read-back", "no picture"]);
-    assert_eq!(runs[0]["workload"]["blending"], "regions");
-    // By the host's clock no kernel has a time, and there is nothing to say about two of them.
-    let table = succeed(&[&["bench", "blending", "--host-clock"], &BLENDED[..]].concat());
-    assert!(!table.contains("takes"), "{table}");
-}
-
-#[test]
 fn bench_measures_the_form_that_is_asked_for() {
     let (_folder, [json]) = new_paths(["a.json"]);
     let forms = [("render", "shared", "forward/blend_shared"), ("train-step", "regions", "forward/blend")];
@@ -345,5 +299,6 @@ fn bench_measures_the_form_that_is_asked_for() {
     assert!(table.contains("forward/blend_shared"), "{table}");
     refuse(&["bench", "render", "--blending", "tiles"], &["--blending", "regions", "shared"]);
     refuse(&["bench", "sort", "--blending", "shared"], &["--blending"]);
-    refuse(&["bench", "blending", "--blending", "shared"], &["--blending"]);
+    let step = [&["bench", "train-step", "--no-read-back"], &BLENDED[..]].concat();
+    refuse(&step, &["--no-read-back", "no picture"]);
 }

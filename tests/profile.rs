@@ -4,7 +4,6 @@ use crate::bench::{number, read};
 use crate::cli::{refuse, succeed, text};
 use crate::common::{assert_says, new_paths};
 use serde_json::Value;
-use tempfile::tempdir;
 
 const SMALL: [&str; 10] =
     ["--gaussians", "300", "--width", "80", "--height", "48", "--frames", "3", "--warmup", "1"];
@@ -33,12 +32,8 @@ fn profile_marks_one_iteration_for_a_capture() {
 
 #[test]
 fn profile_refuses_options_that_would_not_be_used() {
-    let unused: [&[&str]; 9] = [
-        &["--dump", "x", "--spec", "sort.ITEMS=512"],
-        &["--dump", "x", "--trace", "y"],
-        &["--dump", "x", "--gaussians", "9"],
-        &["--dump", "x", "--device", "0"],
-        &["--ab", "-", "-", "--dump", "x"],
+    let unused: [&[&str]; 5] = [
+        &["--ab", "-", "-", "--trace", "x"],
         &["--watch", "--trace", "x"],
         &["--watch", "--kernel", "sort"],
         &["--capture", "--frames", "2"],
@@ -88,22 +83,6 @@ fn profile_compares_two_settings() {
     let last = other.lines().last().expect("a line");
     let difference: f32 = last.rsplit(' ').next().and_then(|n| n.parse().ok()).expect("a number");
     assert!(difference > 0.0, "{last}");
-}
-
-#[test]
-fn profile_dumps_modules_with_their_instructions() {
-    let folder = tempdir().expect("a temporary folder");
-    let table = succeed(&["profile", "--dump", text(folder.path())]);
-    assert_says(table.lines().next().expect("a header"), &["subgroup", "transcend."]);
-    let line = table.lines().find(|line| line.starts_with("sort/sort_downsweep")).expect("its line");
-    let numbers: Vec<u32> = line.split_whitespace().skip(1).filter_map(|n| n.parse().ok()).collect();
-    assert!(numbers.len() == 9 && numbers[0] > 100 && numbers[1] > 10, "{line}");
-    let module = std::fs::read(folder.path().join("sort/sort_downsweep.spv")).expect("a module");
-    assert_eq!(module[..4], 0x0723_0203u32.to_le_bytes());
-    assert_eq!(module.len(), 4 * numbers[0] as usize);
-    assert!(folder.path().join("instructions.txt").is_file());
-    let few = succeed(&["profile", "--dump", text(folder.path()), "--kernel", "scan"]);
-    assert!(few.contains("scan/scan_apply") && !few.contains("sort/sort_downsweep"), "{few}");
 }
 
 #[test]

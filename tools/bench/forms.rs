@@ -1,7 +1,5 @@
-//! `--blending` and `bench blending`: the two forms of blending, one against the other.
+//! `--blending`: the form of blending.
 
-use super::schema::{KernelResult, Run, Spread};
-use super::table;
 use ashsplat::Blending;
 use clap::Args;
 
@@ -26,44 +24,4 @@ pub fn name(blending: Blending) -> &'static str {
         Blending::Regions => "regions",
         Blending::SharedMemory => "shared",
     }
-}
-
-/// Returns a run's forward blending kernel and its time, if it has one.
-fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
-    let own = |k: &&KernelResult| k.kernel.starts_with("forward/blend");
-    let kernel = run.kernels.iter().find(own)?;
-    Some((kernel, kernel.time_us.filter(|time| time.min > 0.0)?))
-}
-
-/// One line for each frame blended in both forms: the time of shared memory over that of regions. The two runs of a frame are
-/// neighbours.
-pub fn ratios(runs: &[Run]) -> String {
-    let is_of = |run: &Run, form: Blending| {
-        let form_first = run.name.strip_prefix("render-").or(run.name.strip_prefix("draw-"));
-        form_first.is_some_and(|rest| rest.starts_with(name(form)))
-    };
-    let lines = runs.windows(2).filter_map(|pair| {
-        let (regions, shared) = match pair {
-            [a, b] if is_of(a, Blending::Regions) && is_of(b, Blending::SharedMemory) => (a, b),
-            [a, b] if is_of(b, Blending::Regions) && is_of(a, Blending::SharedMemory) => (b, a),
-            _ => return None,
-        };
-        if regions.workload.hash != shared.workload.hash {
-            return None;
-        }
-        let ((kernel_a, a), (kernel_b, b)) = (kernel(regions)?, kernel(shared)?);
-        let samples = kernel_a.samples.zip(kernel_b.samples).map_or_else(String::new, |(a, b)| {
-            format!(" for {:.2} times as many samples", b as f64 / a.max(1) as f64)
-        });
-        Some(format!(
-            "blending from shared memory takes {:.2} times as long as by regions ({:.2} to {:.2}){samples}: {:.3} and {:.3} ms, {}\n",
-            b.median / a.median,
-            b.min / a.p90,
-            b.p90 / a.min,
-            b.median * 1e-3,
-            a.median * 1e-3,
-            table::describe(&regions.workload)
-        ))
-    });
-    lines.collect()
 }

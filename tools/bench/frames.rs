@@ -1,6 +1,6 @@
-//! A frame or a training step that is run again and again: `bench render`, `blending`, `train-step`, and `profile`.
+//! A frame or a training step that is run again and again: `bench render`, `train-step`, and `profile`.
 
-use super::measure::{Iteration, Iterations, Measured, Measurement};
+use super::measure::{self, Iteration, Iterations, Measured};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::traffic::{Counts, Traffic};
 use super::workload::{Scene, Storage};
@@ -37,8 +37,8 @@ impl IterationKind {
 pub struct Plan {
     pub what: IterationKind,
     pub scene: Rc<Scene>,
-    /// Forms of blending that take turns; empty for the device's default alone.
-    pub forms: Vec<Blending>,
+    /// None for the device's default.
+    pub form: Option<Blending>,
     /// True if a frame's picture is read back.
     pub reads_back: bool,
     pub seed: u64,
@@ -73,9 +73,9 @@ impl<'a> PlannedWork<'a> {
             IterationKind::Render => Runner::Frame(Box::new(renderer(context, &plan.scene)?)),
             IterationKind::TrainStep => Runner::Step(Box::new(trainer(context, plan)?)),
         };
-        match (plan.forms.first(), &mut runner) {
-            (Some(&form), Runner::Frame(renderer)) => renderer.set_blending(form),
-            (Some(&form), Runner::Step(trainer)) => trainer.set_blending(form),
+        match (plan.form, &mut runner) {
+            (Some(form), Runner::Frame(renderer)) => renderer.set_blending(form),
+            (Some(form), Runner::Step(trainer)) => trainer.set_blending(form),
             (None, _) => {}
         }
         Ok(Self { context, plan, runner, stats: IterationStats::default() })
@@ -88,7 +88,7 @@ impl<'a> PlannedWork<'a> {
         }
     }
 
-    /// Runs one iteration in the current form of blending.
+    /// Runs one iteration.
     pub fn iterate(&mut self) -> Result<()> {
         let (camera, settings) = (&self.plan.scene.camera, RenderSettings::default());
         self.stats = match &mut self.runner {
@@ -109,23 +109,9 @@ impl<'a> PlannedWork<'a> {
         Ok(())
     }
 
-    fn iterate_in(&mut self, form: Blending) -> Result<()> {
-        if self.blending() != form {
-            match &mut self.runner {
-                Runner::Frame(renderer) => renderer.set_blending(form),
-                Runner::Step(trainer) => trainer.set_blending(form),
-            }
-        }
-        self.iterate()
-    }
-
-    fn forms(&self) -> Vec<Blending> {
-        if self.plan.forms.is_empty() { vec![self.blending()] } else { self.plan.forms.clone() }
-    }
-
-    /// Counts the samples of an iteration in each form; the context must have `COUNT_HITS`.
-    pub fn samples(mut self) -> Result<Vec<BlendSamples>> {
-        self.forms().into_iter().map(|form| self.iterate_in(form).map(|()| self.stats.samples)).collect()
+    /// Counts the samples of an iteration; the context must have `COUNT_HITS`.
+    pub fn samples(mut self) -> Result<BlendSamples> {
+        self.iterate().map(|()| self.stats.samples)
     }
 
     /// Runs unmeasured iterations, in which buffers grow and caches fill.
@@ -147,8 +133,8 @@ impl<'a> PlannedWork<'a> {
         Ok(frame.color)
     }
 
-    fn run(&self, form: Blending, measured: &Measured, copy: Option<&CopyBandwidth>) -> Result<Run> {
-        let Plan { scene, reads_back, seed, forms, .. } = self.plan;
+    fn run(&self, measured: &Measured, copy: Option<&CopyBandwidth>) -> Result<Run> {
+        let Plan { scene, reads_back, seed, .. } = self.plan;
         let (g, camera, stats) = (&scene.gaussians, &scene.camera, self.stats);
         let (name, workload, gaussians) = match &self.runner {
             Runner::Frame(_) => {
@@ -163,49 +149,28 @@ impl<'a> PlannedWork<'a> {
                 ("train-step", workload, trained(stats.gaussians))
             }
         };
-        let name = match forms.len() {
-            0 | 1 => name.to_owned(),
-            _ => format!("{name}-{}", forms::name(form)),
-        };
         let counts =
             counts(self.context, gaussians, g.sh_degree, (camera.width, camera.height), scene.storage)?;
         let counts = counts.with_stats(stats.visible, stats.instances);
         let workload = Workload {
             longest_tile: Some(stats.longest_tile),
-            blending: Some(forms::name(form).to_owned()),
+            blending: Some(forms::name(self.blending()).to_owned()),
             ..workload
         };
-        Ok(result(self.context, &name, workload, measured, counts, copy))
+        Ok(result(self.context, name, workload, measured, counts, copy))
     }
 }
 
-/// Measures a frame or a step, in its forms in turn.
+/// Measures a frame or a step.
 pub fn measure(
     context: &Context,
     plan: &Plan,
     iterations: Iterations,
     copy: Option<&CopyBandwidth>,
-) -> Result<Vec<(Run, Measured)>> {
+) -> Result<(Run, Measured)> {
     let mut planned = PlannedWork::new(context, plan)?;
-    context.reset_memory_peaks();
-    let mut measurements = Vec::new();
-    for form in planned.forms() {
-        let begun = Measurement::begin(context, iterations, || Ok(()), || planned.iterate_in(form))?;
-        measurements.push((form, begun));
-    }
-    let count = measurements.len();
-    for round in 0..iterations.measured.max(1) as usize {
-        // The forms take turns at being first.
-        for turn in 0..count {
-            let (form, measurement) = &mut measurements[(round + turn) % count];
-            measurement.round(|| Ok(()), || planned.iterate_in(*form))?;
-        }
-    }
-    let ended = measurements.into_iter().map(|(form, measurement)| {
-        let measured = measurement.end();
-        Ok((planned.run(form, &measured, copy)?, measured))
-    });
-    ended.collect()
+    let measured = measure::measure(context, iterations, || Ok(()), || planned.iterate())?;
+    Ok((planned.run(&measured, copy)?, measured))
 }
 
 /// Number and capacity of the Gaussians of a training.

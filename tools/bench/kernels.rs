@@ -7,6 +7,7 @@ pub struct Kernel {
     pub name: &'static str,
     pub constants: &'static [ConstantInfo],
     /// Its forms, the plain one first.
+    #[cfg_attr(not(feature = "hot-reload"), allow(dead_code))]
     pub forms: &'static [Form],
 }
 

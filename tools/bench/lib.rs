@@ -54,23 +54,20 @@ enum Benchmark {
     Sort(PrimitiveArguments),
     /// A frame
     Render(FrameArguments),
-    /// A frame in both forms of blending, in turn
-    Blending(FrameArguments),
     /// A training step
     TrainStep(FrameArguments),
     /// Training of a data set from its points, as `train` does it
     Train(TrainArguments),
-    /// Everything: the primitives at two sizes, two synthetic frames (one in both forms of blending), a step; also --scene
-    /// and --dataset
+    /// Everything: the primitives at two sizes, two synthetic frames, a step; also --scene and --dataset
     All(AllArguments),
     /// Compare training recipes on scenes: held-out PSNR, gain or loss of each scene, time to a PSNR
     Suite(suite::Arguments),
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let frames = |a: &FrameArguments, what, both| {
+    let frames = |a: &FrameArguments, what| {
         let plan = (a.iterations.get(), a.scene.synthetic.seed());
-        measure_all(&a.output, plan, |_| tasks::of_frames(a, what, both))
+        measure_all(&a.output, plan, |_| tasks::of_frames(a, what))
     };
     let primitive = |a: &PrimitiveArguments, task: fn(u32, Iterations) -> Task, usual| {
         let iterations = a.iterations.get();
@@ -80,9 +77,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.what {
         Benchmark::Scan(a) => primitive(a, Task::Scan, tasks::VALUES_PER_PAIR * tasks::PAIRS),
         Benchmark::Sort(a) => primitive(a, Task::Sort, tasks::PAIRS),
-        Benchmark::Render(a) => frames(a, frames::IterationKind::Render, false),
-        Benchmark::Blending(a) => frames(a, frames::IterationKind::Render, true),
-        Benchmark::TrainStep(a) => frames(a, frames::IterationKind::TrainStep, false),
+        Benchmark::Render(a) => frames(a, frames::IterationKind::Render),
+        Benchmark::TrainStep(a) => frames(a, frames::IterationKind::TrainStep),
         Benchmark::Train(a) => {
             measure_all(&a.output, (training::ITERATIONS, a.seed), |_| tasks::of_training(a))
         }
@@ -119,10 +115,6 @@ fn measure_all(
     output.write(&report)?;
     if !output.quiet {
         outln!("{}", table::render(&report).trim_end());
-        let ratios = forms::ratios(&report.runs);
-        if !ratios.is_empty() {
-            outln!("\n{}", ratios.trim_end());
-        }
     }
     output.device.report_validation(&context);
     counter.report_validation();

@@ -57,78 +57,33 @@ pub fn measure(
     mut iterate: impl FnMut() -> Result<()>,
 ) -> Result<Measured> {
     context.reset_memory_peaks();
-    let mut measurement = Measurement::begin(context, iterations, &mut prepare, &mut iterate)?;
-    for _ in 0..iterations.measured.max(1) {
-        measurement.round(&mut prepare, &mut iterate)?;
-    }
-    Ok(measurement.end())
-}
-
-/// Rounds of a workload. Several workloads may take turns.
-pub struct Measurement<'a> {
-    context: &'a Context,
-    timed: bool,
-    profile: Profile,
-    iterations: Vec<Iteration>,
-    untimed_ms: Vec<f64>,
-    cpu: Vec<Option<f64>>,
-}
-
-impl<'a> Measurement<'a> {
-    pub fn begin(
-        context: &'a Context,
-        iterations: Iterations,
-        mut prepare: impl FnMut() -> Result<()>,
-        mut iterate: impl FnMut() -> Result<()>,
-    ) -> Result<Self> {
-        for _ in 0..iterations.warmup {
-            prepare()?;
-            iterate()?;
-        }
-        let profile = context.profile();
-        // The profile's own memory is allocated here, so that it is not measured.
+    for _ in 0..iterations.warmup {
         prepare()?;
         iterate()?;
-        context.set_profile(None);
-        Ok(Self {
-            context,
-            timed: iterations.timed,
-            profile,
-            iterations: Vec::new(),
-            untimed_ms: Vec::new(),
-            cpu: Vec::new(),
-        })
     }
-
-    /// Runs one iteration without timestamps and one with.
-    pub fn round(
-        &mut self,
-        mut prepare: impl FnMut() -> Result<()>,
-        mut iterate: impl FnMut() -> Result<()>,
-    ) -> Result<()> {
-        let context = self.context;
+    let profile = context.profile();
+    // The profile's own memory is allocated here, so that it is not measured.
+    prepare()?;
+    iterate()?;
+    context.set_profile(None);
+    let (mut timed, mut untimed_ms, mut cpu) = (Vec::new(), Vec::new(), Vec::new());
+    for _ in 0..iterations.measured.max(1) {
         context.set_timestamps(false);
         prepare()?;
         let (begun, cpu_begun) = (Instant::now(), process_seconds());
         iterate()?;
-        let untimed = begun.elapsed();
-        self.untimed_ms.push(untimed.as_secs_f64() * 1e3);
-        self.cpu.push(cpu_begun.zip(process_seconds()).map(|(before, now)| now - before));
-        context.set_timestamps(self.timed);
+        untimed_ms.push(begun.elapsed().as_secs_f64() * 1e3);
+        cpu.push(cpu_begun.zip(process_seconds()).map(|(before, now)| now - before));
+        context.set_timestamps(iterations.timed);
         prepare()?;
-        let iteration = Iteration::timed(context, &self.profile, iterate)?;
+        timed.push(Iteration::timed(context, &profile, &mut iterate)?);
         context.set_timestamps(true);
-        self.iterations.push(iteration);
-        Ok(())
     }
-
-    pub fn end(self) -> Measured {
-        Measured {
-            iterations: self.iterations,
-            untimed_ms: Spread::of(self.untimed_ms),
-            cpu_seconds: self.cpu.into_iter().collect::<Option<Vec<_>>>().and_then(Spread::of),
-        }
-    }
+    Ok(Measured {
+        iterations: timed,
+        untimed_ms: Spread::of(untimed_ms),
+        cpu_seconds: cpu.into_iter().collect::<Option<Vec<_>>>().and_then(Spread::of),
+    })
 }
 
 impl Measured {

@@ -2,7 +2,6 @@
 
 mod ab;
 mod compiled;
-mod dump;
 mod spec;
 mod trace;
 mod watch;
@@ -20,22 +19,6 @@ use ashsplat_program::output;
 use clap::Args;
 use std::path::PathBuf;
 use std::rc::Rc;
-
-/// Options that conflict with --dump, besides those that run something.
-const NOT_WITH_DUMP: [&str; 12] = [
-    "what",
-    "is_static",
-    "json",
-    "asm",
-    "beside",
-    "spec",
-    "glsl",
-    "sh_degree",
-    "blending",
-    "device",
-    "subgroup_size",
-    "backend",
-];
 
 /// Profile one frame or one training step, kernel by kernel.
 ///
@@ -70,10 +53,6 @@ pub struct Arguments {
     ab: Option<Vec<String>>,
     #[command(flatten)]
     compiled: compiled::StaticArguments,
-    /// Write the SPIR-V of each kernel (or of those of --kernel) below this folder, with counts of its instructions by
-    /// class; constants have their defaults there, because the driver itself applies those of --spec
-    #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP, conflicts_with_all = compiled::NOT_WITH_STATIC)]
-    dump: Option<PathBuf>,
     /// Compile edited shaders again while running, and show what changed (feature hot-reload); Ctrl-C ends it
     #[arg(long, conflicts_with_all = ["trace", "kernel"])]
     watch: bool,
@@ -87,7 +66,7 @@ pub struct Arguments {
     #[arg(long)]
     printf: bool,
     /// Mark one iteration as a capture: for `renderdoccmd capture ashsplat profile --capture`
-    #[arg(long, conflicts_with_all = ["trace", "watch", "ab", "dump", "frames", "kernel"])]
+    #[arg(long, conflicts_with_all = ["trace", "watch", "ab", "frames", "kernel"])]
     capture: bool,
     #[command(flatten)]
     device: DeviceArguments,
@@ -113,8 +92,7 @@ impl Arguments {
     fn plan(&self) -> Result<Plan> {
         let what = self.what();
         let scene = Rc::new(self.scene.load(what == IterationKind::TrainStep, &self.device.host)?);
-        let forms = self.form.get().into_iter().collect();
-        Ok(Plan { what, scene, forms, reads_back: true, seed: self.scene.synthetic.seed() })
+        Ok(Plan { what, scene, form: self.form.get(), reads_back: true, seed: self.scene.synthetic.seed() })
     }
 
     fn overrides(&self) -> Result<Vec<SpecOverride>> {
@@ -138,10 +116,6 @@ fn open(arguments: &Arguments, overrides: &[SpecOverride]) -> Result<Context> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let overrides = arguments.overrides()?;
     check_kernel(arguments.kernel.as_deref())?;
-    if let Some(folder) = &arguments.dump {
-        outln!("{}", dump::dump(folder, arguments.kernel.as_deref())?.trim_end());
-        return Ok(());
-    }
     if arguments.compiled.is_static {
         return compiled::run(arguments);
     }
@@ -159,8 +133,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let yardsticks = Yardsticks::measure(&context)?;
     let iterations = Iterations { measured: arguments.frames(), warmup: arguments.warmup(), timed: true };
-    let mut measured = frames::measure(&context, &plan, iterations, yardsticks.copy.as_ref())?;
-    let (mut run, measured) = measured.swap_remove(0);
+    let (mut run, measured) = frames::measure(&context, &plan, iterations, yardsticks.copy.as_ref())?;
     if let Some(path) = &arguments.trace {
         output::write_json(path, &trace::trace(context.device_name(), &measured.iterations))?;
     }

@@ -20,10 +20,10 @@ impl<'a> Counter<'a> {
         Self { device, context: None }
     }
 
-    /// Counts the samples of a task's frame, for each of its runs. None for tasks that blend nothing, and for training, which
-    /// blends differently in each iteration.
-    pub fn count(&mut self, task: &Task) -> Result<Vec<BlendSamples>> {
-        let Task::Frames(plan, _) = task else { return Ok(Vec::new()) };
+    /// Counts the samples of a task's frame. None for tasks that blend nothing, and for training, which blends differently in
+    /// each iteration.
+    pub fn count(&mut self, task: &Task) -> Result<Option<BlendSamples>> {
+        let Task::Frames(plan, _) = task else { return Ok(None) };
         let context = match &mut self.context {
             Some(context) => context,
             none => {
@@ -32,7 +32,7 @@ impl<'a> Counter<'a> {
                 none.insert(self.device.context_with(|options| options.overrides.push(counts))?)
             }
         };
-        PlannedWork::new(context, plan)?.samples()
+        PlannedWork::new(context, plan)?.samples().map(Some)
     }
 
     /// Prints the messages of the validation layer during counting.

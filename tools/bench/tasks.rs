@@ -9,7 +9,7 @@ use super::sizes::FrameSize;
 use super::training::Training;
 use super::workload::{Scene, SceneArguments, SyntheticArguments};
 use ashsplat::vk::Context;
-use ashsplat::{Blending, Error, Result};
+use ashsplat::{Error, Result};
 use std::rc::Rc;
 
 /// A task, which makes one or more runs of the result.
@@ -30,24 +30,16 @@ const MANY: u32 = 500_000;
 /// Most iterations of such a frame on a processor.
 const FEW_ITERATIONS: u32 = 5;
 
-/// One scene: synthetic, or given by the arguments; in both forms of blending if `both`.
-pub fn of_frames(arguments: &FrameArguments, what: IterationKind, both: bool) -> Result<Vec<Task>> {
+/// One scene: synthetic, or given by the arguments.
+pub fn of_frames(arguments: &FrameArguments, what: IterationKind) -> Result<Vec<Task>> {
     let reads_back = !arguments.read_back.no_read_back;
     if what == IterationKind::TrainStep && !reads_back {
         let problem = "is about frames: a training step reads no picture back";
         return Err(Error::argument("--no-read-back", problem));
     }
-    let forms = match (both, arguments.form.get()) {
-        (true, Some(_)) => {
-            let problem = "is for one form, and both are measured here; leave it out";
-            return Err(Error::argument("--blending", problem));
-        }
-        (true, None) => Blending::ALL.to_vec(),
-        (false, form) => form.into_iter().collect(),
-    };
     let scene = arguments.scene.load(what == IterationKind::TrainStep, &arguments.output.device.host)?;
-    let seed = arguments.scene.synthetic.seed();
-    let plan = Plan { what, scene: Rc::new(scene), forms, reads_back, seed };
+    let (form, seed) = (arguments.form.get(), arguments.scene.synthetic.seed());
+    let plan = Plan { what, scene: Rc::new(scene), form, reads_back, seed };
     Ok(vec![Task::Frames(plan, arguments.iterations.get())])
 }
 
@@ -77,28 +69,21 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
     let frame = |scene: &Rc<Scene>| Plan {
         what: IterationKind::Render,
         scene: scene.clone(),
-        forms: Vec::new(),
+        form: None,
         reads_back: !arguments.read_back.no_read_back,
         seed: own.seed(),
     };
-    // Few iterations suffice for the ratio of both forms.
-    let both = |scene: &Rc<Scene>| Task::Frames(Plan { forms: Blending::ALL.to_vec(), ..frame(scene) }, few);
     let synthetic = Rc::new(own.load()?);
     let mut tasks = vec![
         Task::Scan(arguments.elements.saturating_mul(VALUES_PER_PAIR).min(1 << 28), iterations),
         Task::Sort(arguments.elements.div_ceil(4), smaller),
         Task::Sort(arguments.elements, iterations),
         Task::Frames(frame(&synthetic), iterations),
-        both(&synthetic),
     ];
     for size in &arguments.frames {
         let scene = Rc::new(of_size(size).load()?);
         let iterations = if is_slow && size.gaussians > MANY { few } else { iterations };
         tasks.push(Task::Frames(frame(&scene), iterations));
-        // On a processor this takes seconds, and the frame above already gives the ratio.
-        if !is_slow {
-            tasks.push(both(&scene));
-        }
     }
     let host = &arguments.output.device.host;
     if let Some(file) = &arguments.scene {
@@ -122,10 +107,7 @@ impl Task {
         match self {
             Task::Scan(elements, iterations) => Ok(vec![primitives::scan(&primitive(elements, iterations))?]),
             Task::Sort(elements, iterations) => Ok(vec![primitives::sort(&primitive(elements, iterations))?]),
-            Task::Frames(plan, iterations) => {
-                let measured = frames::measure(context, plan, *iterations, copy)?;
-                Ok(measured.into_iter().map(|(run, _)| run).collect())
-            }
+            Task::Frames(plan, iterations) => Ok(vec![frames::measure(context, plan, *iterations, copy)?.0]),
             Task::Train(training) => training.measure(context, copy, seed),
         }
     }

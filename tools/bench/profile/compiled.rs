@@ -36,7 +36,7 @@ pub struct StaticArguments {
 }
 
 /// Options that run something, or select what a compiler does not see.
-pub const NOT_WITH_STATIC: [&str; 18] = [
+const NOT_WITH_STATIC: [&str; 18] = [
     "trace",
     "ab",
     "watch",
