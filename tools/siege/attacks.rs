@@ -13,11 +13,10 @@ use crate::siege::{Result, Siege};
 pub type Attack = fn(&Siege) -> Result<String>;
 
 /// Names and attacks, in order of execution.
-pub const ATTACKS: [(&str, Attack); 10] = [
+pub const ATTACKS: [(&str, Attack); 9] = [
     ("connections that say nothing, to a training", connections::silent),
     ("WebSockets whose hand-shake never ends", connections::unfinished),
     ("large photos asked for at once", photos::at_once),
-    ("photos asked for by a foreign page", photos::foreign),
     ("pages that flood a training and read nothing", floods::pages),
     ("JSON beyond --max-host-memory", bombs::bounded_json),
     ("blocks.json with other values", bombs::damaged_blocks),

@@ -47,7 +47,7 @@ fn color(x: f64, y: f64) -> [u8; 3] {
     [wave(5.0 * x), wave(4.0 * y + 1.0), wave(3.0 * (x + y))]
 }
 
-/// A data set of `count` square photos, `size` pixels wide; on disk they are one file.
+/// A data set of `count` square photos side by side, `size` pixels wide; on disk they are one file.
 pub fn write_large(folder: &Path, count: u32, size: u32) -> Result<()> {
     let images = folder.join("images");
     std::fs::create_dir_all(&images)?;
@@ -57,34 +57,16 @@ pub fn write_large(folder: &Path, count: u32, size: u32) -> Result<()> {
     for name in &names[1..] {
         std::fs::hard_link(&first, folder.join(name))?;
     }
-    write_transforms(folder, size, &names.iter().map(|name| json!({ "file_path": name })).collect::<Vec<_>>())
-}
-
-/// A transforms.json with these frames, side by side.
-pub fn write_transforms(folder: &Path, size: u32, frames: &[Value]) -> Result<()> {
-    let place = |(index, frame): (usize, &Value)| {
-        let mut frame = frame.clone();
+    let frame = |(index, name): (usize, &String)| {
         let x = 0.1 * index as f64;
-        frame["transform_matrix"] = json!([[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]);
-        frame
+        let pose = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
+        json!({ "file_path": name, "transform_matrix": pose })
     };
-    let frames: Vec<Value> = frames.iter().enumerate().map(place).collect();
+    let frames: Vec<Value> = names.iter().enumerate().map(frame).collect();
     let [focal, middle] = [f64::from(size), f64::from(size) / 2.0];
     let lens = json!({
         "w": size, "h": size, "fl_x": focal, "fl_y": focal, "cx": middle, "cy": middle, "frames": frames,
     });
     std::fs::write(folder.join("transforms.json"), lens.to_string())?;
     Ok(())
-}
-
-/// Bytes of a Gaussian after [`ply_header`].
-pub const PLY_BYTES: u64 = 4 * PLY_NAMES.len() as u64;
-const PLY_NAMES: [&str; 14] = [
-    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
-    "rot_1", "rot_2", "rot_3",
-];
-
-pub fn ply_header(gaussians: u64) -> String {
-    let columns: String = PLY_NAMES.iter().map(|name| format!("property float {name}\n")).collect();
-    format!("ply\nformat binary_little_endian 1.0\nelement vertex {gaussians}\n{columns}end_header\n")
 }

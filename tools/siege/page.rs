@@ -32,8 +32,8 @@ pub fn connect(host: &str, longest: Duration) -> Result<TcpStream> {
 }
 
 /// Status of an answer.
-pub fn get(host: &str, path: &str, headers: &str, longest: Duration) -> Result<u16> {
-    request(host, &format!("GET {path}"), headers, &[], longest)
+pub fn get(host: &str, path: &str, longest: Duration) -> Result<u16> {
+    request(host, &format!("GET {path}"), "", &[], longest)
 }
 
 /// Sends a file, which must be accepted.

@@ -4,6 +4,7 @@ use crate::data;
 use crate::page::{self, Page};
 use crate::program::Program;
 use crate::siege::{Result, Siege, ensure, text};
+use crate::training;
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -38,11 +39,8 @@ pub fn bounded_json(siege: &Siege) -> Result<String> {
         std::fs::write(&path, &spaces)?;
     }
     let (data, cameras) = (folder.join("transforms"), folder.join("cameras.json"));
-    let ply = folder.join("scene.ply");
-    // One Gaussian without rotation; all other values are 0.
-    let mut values = [[0; 4]; data::PLY_BYTES as usize / 4];
-    values[10] = 1.0_f32.to_le_bytes();
-    std::fs::write(&ply, [data::ply_header(1).as_bytes(), values.as_flattened()].concat())?;
+    training::undisturbed(siege)?;
+    let ply = training::result_of(&siege.place("undisturbed"));
     let job = format!("{}:1", text(&blocks)?);
     let commands: [&[&str]; 5] = [
         &["train", "-s", text(&data)?, "-m", text(&model)?],

@@ -78,7 +78,7 @@ fn visit(host: &str, page: &mut Page) -> Result<Duration> {
     })?;
     timed(&mut || Page::open(host)?.look().map(drop))?;
     timed(&mut || {
-        let code = page::get(host, "/main.js", "", page::PATIENCE)?;
+        let code = page::get(host, "/main.js", page::PATIENCE)?;
         ensure!(code == 200, "a page's script is answered with {code}");
         Ok(())
     })?;
