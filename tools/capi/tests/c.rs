@@ -2,7 +2,12 @@
 
 #![allow(clippy::disallowed_methods, clippy::expect_used)]
 
+extern crate ashsplat_reference as reference;
+
 mod hosts;
+#[allow(dead_code)]
+#[path = "../../../tests/common/lpips_files.rs"]
+mod lpips_files;
 mod measures;
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};

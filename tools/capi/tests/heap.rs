@@ -21,46 +21,35 @@ fn check(status: AshsplatStatus) {
     assert!(status == AshsplatStatus::Ok, "{said:?}");
 }
 
-/// A device that ashsplat has opened, lent back to it as a host's device.
+/// Vulkan's objects on the device of a context.
 struct Host {
-    owner: *mut AshsplatContext,
+    context: *mut AshsplatContext,
     device: ash::Device,
     queue: vk::Queue,
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
-    context: *mut AshsplatContext,
 }
 
 impl Host {
     fn new() -> Self {
-        let (mut owner, mut context) = (null_mut(), null_mut());
-        let mut lent = AshsplatForeignDevice::default();
-        let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
-        let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
+        let (mut context, mut family) = (null_mut(), 0);
+        let [mut instance, mut physical, mut device] = [null_mut(); 3];
         // SAFETY: all pointers are alive; the device lives until the host is closed.
         unsafe {
             let entry = ash::Entry::load().expect("a loader");
-            lent.get_instance_proc_addr = entry.static_fn().get_instance_proc_addr as *const c_void;
-            check(ashsplat_context_new(null(), &raw mut owner));
-            let handles = [&raw mut lent.instance, &raw mut lent.physical_device, &raw mut lent.device];
-            let [instance, physical, device] = handles;
-            check(ashsplat_context_handles(owner, instance, physical, device, &raw mut lent.queue_family));
-            check(ashsplat_merge_features((&raw mut v12).cast(), (&raw mut v13).cast()));
-            lent.vulkan12_features = (&raw const v12).cast();
-            lent.vulkan13_features = (&raw const v13).cast();
-            let instance =
-                ash::Instance::load(entry.static_fn(), vk::Instance::from_raw(lent.instance as u64));
-            let device = ash::Device::load(instance.fp_v1_0(), vk::Device::from_raw(lent.device as u64));
-            let queue = device.get_device_queue(lent.queue_family, 0);
-            lent.queue = queue.as_raw() as *mut c_void;
-            check(ashsplat_context_from_foreign(&raw const lent, &raw mut context));
+            check(ashsplat_context_new(null(), &raw mut context));
+            let handles = [&raw mut instance, &raw mut physical, &raw mut device];
+            check(ashsplat_context_handles(context, handles[0], handles[1], handles[2], &raw mut family));
+            let instance = ash::Instance::load(entry.static_fn(), vk::Instance::from_raw(instance as u64));
+            let device = ash::Device::load(instance.fp_v1_0(), vk::Device::from_raw(device as u64));
+            let queue = device.get_device_queue(family, 0);
             let info = vk::CommandPoolCreateInfo::default()
                 .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER)
-                .queue_family_index(lent.queue_family);
+                .queue_family_index(family);
             let pool = device.create_command_pool(&info, None).expect("a pool");
             let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
             let commands = device.allocate_command_buffers(&info).expect("a command buffer")[0];
-            Self { owner, device, queue, pool, commands, context }
+            Self { context, device, queue, pool, commands }
         }
     }
 
@@ -99,15 +88,6 @@ impl Host {
             let memory = self.device.allocate_memory(&info, None).expect("memory");
             self.device.bind_buffer_memory(buffer, memory, 0).expect("bound");
             (buffer, memory)
-        }
-    }
-
-    fn close(self) {
-        // SAFETY: nothing is in use any more.
-        unsafe {
-            ashsplat_context_free(self.context);
-            self.device.destroy_command_pool(self.pool, None);
-            ashsplat_context_free(self.owner);
         }
     }
 }
@@ -200,6 +180,7 @@ fn recording_in_c_takes_nothing_from_the_heap() {
         ashsplat_scene_free(scene);
         host.device.destroy_buffer(buffer, None);
         host.device.free_memory(memory, None);
+        host.device.destroy_command_pool(host.pool, None);
+        ashsplat_context_free(host.context);
     }
-    host.close();
 }

@@ -2,62 +2,15 @@
 
 use crate::cloud;
 use crate::hosts::host_in_c;
-use ashsplat::passes::lpips::{Lpips, Network, Weights};
+use crate::lpips_files;
+use ashsplat::passes::lpips::Lpips;
 use ashsplat::scene::{Camera, Intrinsics, Photo};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Alignment, RenderSettings, Renderer};
-use ashsplat_files::splats;
+use ashsplat_files::{HostMemory, lpips_weights, splats};
 use glam::Vec3;
-use safetensors::tensor::{Dtype, TensorView};
-use std::path::Path;
 
 const SIZE: (u32, u32) = (64, 48);
-
-/// Numbers from -1 to 1.
-fn numbers(seed: u32) -> impl Iterator<Item = f32> {
-    (1..).map(move |i: u32| {
-        let mixed = (i ^ seed.wrapping_mul(0x9E37_79B9)).wrapping_mul(2_654_435_761);
-        (mixed ^ mixed >> 15).wrapping_mul(0x85EB_CA6B) as i32 as f32 / 2_147_483_648.0
-    })
-}
-
-/// AlexNet with random weights, small enough that values stay near 1.
-fn weights() -> Weights {
-    let network = Network::AlexNet;
-    let convolution = |(seed, layer): (usize, &ashsplat::passes::lpips::Layer)| {
-        let inputs = layer.inputs * layer.size * layer.size;
-        let scale = (6.0 / inputs as f32).sqrt();
-        let count = (layer.outputs * inputs) as usize;
-        let own = numbers(seed as u32 + 10).take(count).map(|x| x * scale).collect();
-        (own, numbers(seed as u32 + 30).take(layer.outputs as usize).map(|x| 0.1 * x).collect())
-    };
-    let head = |layer: &ashsplat::passes::lpips::Layer| {
-        numbers(50).take(layer.outputs as usize).map(f32::abs).collect()
-    };
-    Weights {
-        network,
-        convolutions: network.convolutions().enumerate().map(convolution).collect(),
-        heads: network.taps().map(head).collect(),
-    }
-}
-
-fn write(path: &Path, weights: &Weights) {
-    let mut tensors: Vec<(String, Vec<usize>, &[f32])> = vec![];
-    for (layer, (own, biases)) in weights.network.convolutions().zip(&weights.convolutions) {
-        let shape = [layer.outputs, layer.inputs, layer.size, layer.size].map(|n| n as usize).to_vec();
-        tensors.push((format!("net.{}.weight", layer.index), shape, own));
-        tensors.push((format!("net.{}.bias", layer.index), vec![biases.len()], biases));
-    }
-    for (k, head) in weights.heads.iter().enumerate() {
-        tensors.push((format!("lin{k}.model.1.weight"), vec![1, head.len(), 1, 1], head));
-    }
-    let bytes: Vec<Vec<u8>> =
-        tensors.iter().map(|(.., own)| own.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();
-    let views = tensors.into_iter().zip(&bytes).map(|((name, shape, _), bytes)| {
-        (name, TensorView::new(Dtype::F32, shape, bytes).expect("a tensor"))
-    });
-    safetensors::serialize_to_file(views, None, path).expect("written");
-}
 
 /// Remaining results that the program has written.
 struct Results(std::vec::IntoIter<u8>);
@@ -77,7 +30,7 @@ fn a_host_in_c_has_gradients_and_measures() {
     let [scene, network, results] =
         ["scene.ply", "alex.safetensors", "results.bin"].map(|name| folder.path().join(name));
     splats::write(&scene, &cloud(), &Default::default()).expect("a PLY");
-    write(&network, &weights());
+    lpips_files::write(&network, &lpips_files::alexnet(7));
     let said = host_in_c("train", "measures", &[&scene, &network, &results]);
     assert!(said.contains("lpips_alex 0."), "{said}");
     let mut results = Results(std::fs::read(&results).expect("results").into_iter());
@@ -144,7 +97,8 @@ fn a_host_in_c_has_gradients_and_measures() {
     let off = (aligned.translation - cameras[0].translation).length();
     assert!(off < 0.01, "{off} of 0.03 are left");
 
-    let mut lpips = Lpips::new(&context, &weights()).expect("a network");
+    let weights = lpips_weights::read(&network, &HostMemory::default()).expect("weights");
+    let mut lpips = Lpips::new(&context, &weights).expect("a network");
     let expected = lpips.distance([&picture, &frame.color], SIZE).expect("a distance");
     let bytes: Vec<u8> = results.0.by_ref().collect();
     assert_eq!(bytes, expected.to_le_bytes(), "LPIPS {expected}");
