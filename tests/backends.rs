@@ -69,6 +69,7 @@ fn compare_switched(constant: &str) {
             SpecOverride { kernel: String::new(), constant: constant.to_owned(), bits: on.into() };
         Context::new(&ContextOptions { overrides: vec![overridden], ..options() }).expect("a device")
     };
+    let contexts = [false, true].map(switched);
     let scene = gaussians(&mixed_scene(&mut Random::new(6), 300, 16));
     for (strategy, pose_opt) in
         [(StrategyType::Reference, false), (StrategyType::Reference, true), (StrategyType::Budget, false)]
@@ -81,18 +82,17 @@ fn compare_switched(constant: &str) {
             pose_opt,
             ..TrainSettings::of_strategy(strategy)
         };
-        let [off, on] = [false, true].map(|on| {
-            let context = switched(on);
+        let [off, on] = contexts.each_ref().map(|context| {
             let camera = camera(&small_view([67, 43]));
-            let frame = loaded(&context, &scene).render(&camera, &RenderSettings::default());
-            let run = Run::new(&context, views(2, 5), settings.clone());
+            let frame = loaded(context, &scene).render(&camera, &RenderSettings::default());
+            let run = Run::new(context, views(2, 5), settings.clone());
             let end = run.starting_at(&scene).end(&[]);
-            assert_silent(&context);
+            assert_silent(context);
             (context, frame.expect("a picture").color, end.fingerprint())
         });
         assert!(off.1.iter().flatten().any(|&x| x > 0.1), "the picture is black");
         let what = format!("the pictures of {constant}, {strategy:?},");
-        assert_alike(&on.0, off.1.as_flattened(), on.1.as_flattened(), (&what, 1e-5));
+        assert_alike(on.0, off.1.as_flattened(), on.1.as_flattened(), (&what, 1e-5));
         // Another compiler may fuse different sums of products, and trainings diverge with the first different bit.
         if on.0.description().kind == "CPU" {
             assert!(off.2 == on.2, "{constant}, {strategy:?}: other bits");

@@ -335,7 +335,7 @@ fn gradients_through_lenses_are_those_of_differences() {
     for (lens, is_inside) in lenses().flat_map(|lens| [false, true].map(|is_inside| (lens, is_inside))) {
         let (camera, coefficients) = through(lens);
         let scene = covering(&mut renderer, &camera, is_inside);
-        let means = (0..3 * scene.len()).step_by(4).map(Number::Mean);
+        let means = (0..3 * scene.len()).step_by(16).map(Number::Mean);
         compare(&mut renderer, &camera, &scene, (0..6).map(Number::Pose).chain(means));
         let Some(([_, hold, ..], _)) = camera.lens_words().filter(|_| coefficients > 0) else { continue };
         let is_held = |index: &usize| {

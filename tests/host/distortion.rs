@@ -84,9 +84,9 @@ fn undistorted_photos_show_what_a_pinhole_sees() {
         [wave(9.0 * p.x), wave(8.0 * p.y + 1.0), wave(6.0 * (p.x + p.y))]
     };
     for lens in lenses() {
-        let mut rgb = Vec::new();
+        let (ray_at, mut rgb) = (lens.rays(), Vec::new());
         for (y, x) in (0..240).flat_map(|y| (0..320).map(move |x| (y, x))) {
-            let ray = lens.ray(dvec2(f64::from(x) + 0.5, f64::from(y) + 0.5)).unwrap();
+            let ray = ray_at(dvec2(f64::from(x) + 0.5, f64::from(y) + 0.5)).unwrap();
             rgb.extend(board(ray.truncate() / ray.z).map(|v| v.round() as u8));
         }
         let pinhole = lens.inscribed_pinhole().unwrap();

@@ -108,7 +108,8 @@ pub fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
 #[test]
 pub fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
     let gpu = Gpu::new();
-    for size in [[1, 1], [17, 5], [16, 16], [15, 33], gpu.sized([64, 48], [33, 20])] {
+    for &size in gpu.sized(&[[1, 1], [17, 5], [16, 16], [15, 33], [64, 48]][..], &[[1, 1], [17, 5], [15, 33]])
+    {
         check(&gpu, &Lists::long(&gpu, 40, [0.02, 0.9], &small_view(size)), u32::MAX);
     }
 }
