@@ -1,9 +1,9 @@
 // Alignment of Gaussians with the picture's surface, by the pixel at a Gaussian's mean: its shortest axis n turns to the surface's
-// normal N, shrinks, and its mean moves to the surface. Adds the gradient of
-//   share (turn (1 - (n . N)^2) + flatten s + approach e^2 / SURFACE_REACH^2)
-// with s the shortest axis in pixels and e = z d - 1 the relative distance from the surface. N, d, `share` and the z in s are
-// constants in gradients. The share is the area that the Gaussian covers, px^2, times its opacity and exp(-e^2 / SURFACE_REACH^2), so that
-// Gaussians behind the surface stay as they are.
+// normal N and shrinks. Adds the gradient of
+//   share (turn (1 - (n . N)^2) + flatten s)
+// with s the shortest axis in pixels. N, `share` and the z in s are constants in gradients. The share is the area that the Gaussian
+// covers, px^2, times its opacity and exp(-e^2 / SURFACE_REACH^2), where e = z d - 1 is the relative distance from the surface of
+// inverse depth d, so that Gaussians behind the surface stay as they are.
 //
 // invocation: one visible Gaussian of the bound parameter range
 // in: parameters (PerGaussian planes), visible_ranges, visible_list, mean2d_extent, conic_opacity; PerPixel: surface_depths
@@ -36,7 +36,6 @@ layout(push_constant, scalar) uniform Push {
     // Weights, divided by the number of pixels.
     float turn;
     float flatten;
-    float approach;
 };
 
 #include "camera_block.glsl"
@@ -77,12 +76,10 @@ void main() {
     vec3 normal = normalize(vec3(slope * focal_px, here - dot(vec2(at) - center_px, slope)));
 
     uint index = visible_list[visible] - first;
-    uint mean_at = geometry_at(PLANE_MEAN_OPACITY, index);
     uint quat_at = geometry_at(PLANE_QUAT, index);
     uint scale_at = geometry_at(PLANE_LOG_SCALE, index);
-    float z = dot(camera_row_z, parameters[mean_at].xyz) + camera_translation.z;
-    float inverse_depth = here + dot(slope, mean2d_px - vec2(at));
-    float e = (z * inverse_depth - 1.0) / SURFACE_REACH;
+    float z = dot(camera_row_z, parameters[geometry_at(PLANE_MEAN_OPACITY, index)].xyz) + camera_translation.z;
+    float e = (z * (here + dot(slope, mean2d_px - vec2(at))) - 1.0) / SURFACE_REACH;
     vec4 conic = conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)];
     // Dropout may raise opacities above 1.
     float share = 6.2831853 * inversesqrt(conic.x * conic.z - conic.y * conic.y) * min(conic.w, 1.0) * exp(-e * e);
@@ -99,12 +96,10 @@ void main() {
     d_axes[shortest] = -2.0 * turn * dot(rotation_of(unit)[shortest], world_normal) * world_normal;
     vec4 d_quat = share * quaternion_backward(unit, inverse_norm, d_axes);
     float d_log_scale = share * flatten * exp(log_scale[shortest]) * focal_px.x / z;
-    vec3 d_mean = share * approach * 2.0 * e / SURFACE_REACH * inverse_depth * camera_row_z;
     // A degenerate conic must not reach the optimiser.
     if (!finite(vec4(share, d_log_scale, 0.0, 0.0))) {
         return;
     }
     parameter_gradients[quat_at] += d_quat;
     parameter_gradients[scale_at][shortest] += d_log_scale;
-    parameter_gradients[mean_at].xyz += d_mean;
 }

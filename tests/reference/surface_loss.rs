@@ -34,8 +34,6 @@ pub fn planarity(depths: &[Option<f64>], scales: &[Option<f64>], size: [usize; 2
 pub struct Surface {
     /// Unit normal in the world.
     normal: [f64; 3],
-    /// Inverse depth at the mean.
-    inverse_depth: f64,
     share: f64,
     /// Index of the shortest axis.
     shortest: usize,
@@ -77,32 +75,24 @@ impl Surface {
         let rows = view.camera_from_world;
         let normal = [0, 1, 2].map(|k| (0..3).map(|row| rows[row][k] * normal[row]).sum::<f64>() / length);
         let inverse_depth = here + slope[0] * (mean2d_px[0] - at[0]) + slope[1] * (mean2d_px[1] - at[1]);
-        let z = depth_of(gaussian, view);
+        let z = dot(view.camera_from_world[2], gaussian.mean) + view.translation[2];
+        let away = (z * inverse_depth - 1.0) / 0.05;
         let area = 2.0 * std::f64::consts::PI / (conic[0] * conic[2] - conic[1] * conic[1]).sqrt();
-        let share = area * opacity.min(1.0) * (-distance(z, inverse_depth).powi(2)).exp();
+        let share = area * opacity.min(1.0) * (-away * away).exp();
         let shortest =
             (0..3).fold(0, |shortest, k| match gaussian.log_scale[k] < gaussian.log_scale[shortest] {
                 true => k,
                 false => shortest,
             });
-        Some(Surface { normal, inverse_depth, share, shortest, px_per_unit: view.focal_px[0] / z })
+        Some(Surface { normal, share, shortest, px_per_unit: view.focal_px[0] / z })
     }
 
-    /// `weights`: of the turn, the flattening and the approach.
-    pub fn loss(&self, gaussian: &Gaussian, view: &View, weights: [f64; 3]) -> f64 {
+    /// `weights`: of the turn and the flattening.
+    pub fn loss(&self, gaussian: &Gaussian, weights: [f64; 2]) -> f64 {
         let length = gaussian.quat.iter().map(|x| x * x).sum::<f64>().sqrt();
         let axes = rotation(gaussian.quat.map(|x| x / length));
         let along = dot([0, 1, 2].map(|row| axes[row][self.shortest]), self.normal);
         let thickness = gaussian.log_scale[self.shortest].exp() * self.px_per_unit;
-        let away = distance(depth_of(gaussian, view), self.inverse_depth);
-        self.share * (weights[0] * (1.0 - along * along) + weights[1] * thickness + weights[2] * away * away)
+        self.share * (weights[0] * (1.0 - along * along) + weights[1] * thickness)
     }
-}
-
-fn depth_of(gaussian: &Gaussian, view: &View) -> f64 {
-    dot(view.camera_from_world[2], gaussian.mean) + view.translation[2]
-}
-
-fn distance(z: f64, inverse_depth: f64) -> f64 {
-    (z * inverse_depth - 1.0) / 0.05
 }
